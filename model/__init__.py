@@ -1,0 +1,1 @@
+"""What a machine tool is and how errors move its tool tip."""
