@@ -1,0 +1,1 @@
+"""A synthetic machine shop: duty cycles, thermal network, deformation, sensors, data sets."""

@@ -1,0 +1,65 @@
+"""`thermotrue predict`: run a bundle's network over telemetry and say where the tip was."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+PATH = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("bundle", type=PATH)
+@click.argument("telemetry", type=PATH)
+@click.option("--positions", required=True, type=PATH, help="Positions: run, time_s and one column per axis [mm].")
+@click.option("--out", required=True, type=PATH, help="File to write, .csv or .parquet.")
+def predict(bundle: Path, telemetry: Path, positions: Path, out: Path) -> None:
+    """Write the tip's predicted deviation at positions and times, from temperatures alone.
+
+    The network runs over each run from its first sample. A bundle trained on changes since the start of a run
+    (datum "run-start") gives changes since then; an absolute one gives thermal and geometric deviation together.
+    The output has run, time_s, the axes, dx_um, dy_um, dz_um.
+    """
+    import numpy as np
+
+    from model.bundle import load_bundle
+    from model.chain import Chain
+    from model.exceptions import DataError
+    from model.positions import read_positions
+    from model.predictor import Predictor
+    from model.progress import track
+    from model.tables import write_table
+    from model.telemetry import read_telemetry
+    from model.terms import UM
+
+    loaded = load_bundle(bundle)
+    predictor = Predictor(loaded)
+    runs, _ = read_telemetry(telemetry, predictor.sensors, predictor.channels)
+    table, q = read_positions(positions, loaded.machine, required=("run", "time_s"))
+    run_of, time_s = table.text["run"], table.numbers["time_s"]
+    chain = Chain(loaded.machine)
+    found = np.empty((len(table), 3))
+    for name in track(list(dict.fromkeys(run_of.tolist())), "predicting"):
+        rows = np.flatnonzero(run_of == name)
+        if name not in runs:
+            raise DataError(f"run '{name}' of '{positions}' must be in '{telemetry}', got {', '.join(runs)}")
+        run = runs[name]
+        early = rows[~(time_s[rows] >= run.time_s[0])]
+        if len(early):
+            raise DataError(
+                f"times in run '{name}' of '{positions}' must not lie before its telemetry, which starts at "
+                f"{run.time_s[0]:g} s, got {time_s[early[0]]:g} in row {early[0] + 1}"
+            )
+        followed = predictor.follow(run)
+        if predictor.datum == "run-start":
+            followed = followed - followed[0]
+        at = np.stack([np.interp(time_s[rows], run.time_s, c) for c in followed.T], axis=1)
+        e = predictor.fields.evaluate(at, q[rows])
+        if predictor.datum == "absolute":
+            e = e + loaded.geometry.evaluate(q[rows])
+        found[rows] = chain.deviation(q[rows], e).position_mm / UM
+    axes = {a: q[:, i] for i, a in enumerate(loaded.machine.axis_names)}
+    deviation = {f"d{a}_um": found[:, i] for i, a in enumerate("xyz")}
+    write_table(out, {"run": run_of, "time_s": time_s, **axes, **deviation})
+    click.echo(f"{len(table)} positions written to {out}")

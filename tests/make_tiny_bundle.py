@@ -1,0 +1,96 @@
+"""Make `tests/data/tiny_bundle`, a small real bundle for tests that run without torch.
+
+Run it with the train extra installed: `python tests/make_tiny_bundle.py`. Its network is chosen, not trained,
+so what it must answer can be worked out by hand: all sensors 1 K above 20 °C for long give the thermal terms
+EZ0T = -4 µm, EXX = 0 ... +8 µm over the axis and EC0Y = 2 µrad.
+"""
+
+import math
+from pathlib import Path
+
+import torch
+
+from model.bundle import write_bundle
+from model.machine import parse_machine
+from model.manifest import NetworkRecord
+from model.network import EXPORTER, OPSET, Scaling, Shape, ThermalNetwork, export_onnx
+
+FOLDER = Path(__file__).parent / "data" / "tiny_bundle"
+
+MACHINE = """\
+name = "tiny"
+structure = "w X Y b Z t"
+reference_temperature_degC = 20.0
+
+[axes.X]
+range = [0.0, 800.0]
+[axes.Y]
+range = [0.0, 500.0]
+[axes.Z]
+range = [0.0, 500.0]
+
+[tool]
+offset_mm = [0.0, 0.0, -100.0]
+errors = true
+
+[sensors.spindle]
+range_degC = [-10.0, 100.0]
+[sensors.column]
+range_degC = [-10.0, 60.0]
+[sensors.ambient]
+range_degC = [-10.0, 50.0]
+
+[limits]
+max_correction_um = 300.0
+max_rate_um_per_min = 60.0
+"""
+
+TERMS = ["EXX", "EC0Y", "EZ0T"]
+TIME_CONSTANTS_S = [300.0, 3600.0]
+
+
+def main() -> None:
+    """Write the bundle."""
+    machine = parse_machine(MACHINE)
+    coefficients = 2 + 1 + 1  # EXX of degree 1, EC0Y, EZ0T
+    shape = Shape(sensors=3, channels=1, modes=2, hidden=0, coefficients=coefficients)
+    net = ThermalNetwork(shape, Scaling(20.0, 1.0, [10000.0], [1.0] * coefficients)).double()
+    with torch.no_grad():
+        net.log_tau.copy_(torch.tensor([math.log(t) for t in TIME_CONSTANTS_S]))
+        for parameter in (net.excite.weight, net.linear.weight):
+            parameter.zero_()
+        # Mode 0 follows the mean temperature within minutes, mode 1 within an hour; full speed adds 2 K.
+        net.excite.weight[:, :3] = 1.0 / 3.0
+        net.excite.weight[:, 3] = 2.0
+        net.linear.weight[0, 4 + 1] = 4.0  # EXX: mean over the axis
+        net.linear.weight[1, 4 + 1] = 4.0  # EXX: slope, so that it is zero at X = 0
+        net.linear.weight[2, 4 + 1] = 2.0  # EC0Y
+        net.linear.weight[3, 4 + 0] = -4.0  # EZ0T: the spindle grows towards the workpiece
+    record = NetworkRecord(
+        sensors=["spindle", "column", "ambient"],
+        channels=["spindle_rpm"],
+        terms=TERMS,
+        degree=1,
+        modes=2,
+        time_constants_s=TIME_CONSTANTS_S,
+        datum="absolute",
+        settling_time_s=3600.0,
+        valid_range_degC={"spindle": (15.0, 45.0), "column": (15.0, 35.0), "ambient": (15.0, 30.0)},
+        sensor_mean_degC=[25.0, 22.0, 20.0],
+        sensor_covariance_K2=[[25.0, 9.0, 2.0], [9.0, 4.0, 1.0], [2.0, 1.0, 1.0]],
+        opset=OPSET,
+        exporter=EXPORTER,
+    )
+    geometry = [
+        ("EXX", 0.0, 0.0),
+        ("EXX", 800.0, 12.0),
+        ("EYX", 0.0, 0.0),
+        ("EYX", 400.0, 3.0),
+        ("EC0Y", None, -20.0),
+    ]
+    bundle = write_bundle(FOLDER, machine, geometry=geometry, network=export_onnx(net), record=record)
+    print(f"{bundle.path}: {len(bundle.network or b'')} bytes of network")
+
+
+if __name__ == "__main__":
+    main()

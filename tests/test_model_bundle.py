@@ -1,0 +1,176 @@
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from machines import machine_text
+
+from model.bundle import load_bundle, machine_of, write_bundle
+from model.exceptions import BundleError, ComputeError, DataError
+from model.machine import parse_machine
+from model.predictor import Predictor
+from model.telemetry import Run
+
+TINY = Path(__file__).parent / "data" / "tiny_bundle"
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    return Path(shutil.copytree(TINY, tmp_path / "bundle"))
+
+
+def edit(path: Path, change: Callable[[dict], object]) -> None:
+    manifest = json.loads((path / "manifest.json").read_text())
+    change(manifest)
+    (path / "manifest.json").write_text(json.dumps(manifest))
+
+
+def test_a_bundle_without_network_is_a_geometric_machine(tmp_path: Path) -> None:
+    machine = parse_machine(machine_text())
+    bundle = write_bundle(tmp_path / "geometric", machine, geometry=[("EXX", 100.0, 5.0)])
+    assert bundle.network is None
+    assert bundle.geometry.evaluate(np.zeros((1, 3)))[0, machine.term_index["EXX"]] == pytest.approx(0.005)
+    with pytest.raises(BundleError, match="bundle .* has no network: it is geometric only"):
+        Predictor(bundle)
+
+
+def test_writing_again_replaces_a_bundle_and_nothing_else(tmp_path: Path) -> None:
+    machine = parse_machine(machine_text())
+    first = write_bundle(tmp_path / "b", machine)
+    second = write_bundle(tmp_path / "b", machine, geometry=[("EC0Y", None, 1.0)])
+    assert first.version != second.version
+    assert [p.name for p in tmp_path.iterdir()] == ["b"]
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "work.txt").write_text("precious")
+    with pytest.raises(BundleError, match="'.*other' exists and is not a bundle; name another folder"):
+        write_bundle(tmp_path / "other", machine)
+    assert (tmp_path / "other" / "work.txt").read_text() == "precious"
+
+
+def test_machine_of_a_bundle_a_file_and_a_folder(copy: Path) -> None:
+    assert machine_of(copy).name == machine_of(copy / "machine.toml").name == "tiny"
+
+
+@pytest.mark.parametrize("name", ["machine.toml", "network.onnx", "geometry.csv"])
+def test_a_changed_file_is_refused(copy: Path, name: str) -> None:
+    with (copy / name).open("ab") as file:
+        file.write(b" ")
+    with pytest.raises(BundleError, match=rf"bundle '.*': {name} does not match manifest.json \(sha256 differs\)"):
+        load_bundle(copy)
+
+
+@pytest.mark.parametrize("name", ["machine.toml", "network.onnx", "geometry.csv", "manifest.json"])
+def test_a_missing_file_is_named(copy: Path, name: str) -> None:
+    (copy / name).unlink()
+    with pytest.raises(BundleError, match=rf"bundle '.*': {name} cannot be read: No such file"):
+        load_bundle(copy)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda m: m.update(format_version=99), "bundle '.*' has format version 99, this release reads 1"),
+        (
+            lambda m: m.update(machine="other"),
+            "bundle '.*': manifest.json is for machine 'other', machine.toml for",
+        ),
+        (lambda m: m.update(extra=1), "unknown key 'extra' in bundle '.*', manifest.json"),
+        (
+            lambda m: m["files"].update({"../x": "0"}),
+            r"bundle '.*': manifest.json lists '../x'; a bundle has only",
+        ),
+        (lambda m: m["files"].pop("geometry.csv"), "bundle '.*': manifest.json has no checksum of geometry.csv"),
+        (
+            lambda m: m.update(network=None),
+            "bundle '.*': network.onnx and the manifest's 'network' must come together",
+        ),
+        (lambda m: m["network"]["sensors"].append("oil"), "bundle '.*': the network needs sensor 'oil'"),
+        (
+            lambda m: m["network"]["valid_range_degC"].pop("column"),
+            "bundle '.*': .* no valid temperature range for",
+        ),
+        (
+            lambda m: m["network"]["sensor_mean_degC"].pop(),
+            "bundle '.*': manifest.json: sensor statistics must be",
+        ),
+    ],
+)
+def test_a_wrong_manifest_gets_one_sentence(copy: Path, change: Callable[[dict], object], message: str) -> None:
+    edit(copy, change)
+    with pytest.raises(BundleError, match=message):
+        load_bundle(copy)
+
+
+def test_no_folder_and_no_json(tmp_path: Path, copy: Path) -> None:
+    with pytest.raises(BundleError, match=r"bundle '.*' must be a folder with machine.toml and manifest.json"):
+        load_bundle(tmp_path / "nothing")
+    (copy / "manifest.json").write_text("{")
+    with pytest.raises(BundleError, match="bundle '.*': manifest.json is not JSON"):
+        load_bundle(copy)
+
+
+def test_a_network_that_does_not_fit_its_manifest_is_refused(copy: Path) -> None:
+    edit(copy, lambda m: m["network"].update(modes=3))
+    with pytest.raises(BundleError, match="bundle '.*': network.onnx must take .* got .*; export it again"):
+        Predictor(load_bundle(copy))
+
+
+PREDICTOR = Predictor(load_bundle(TINY))
+IDLE = np.zeros(1)
+
+
+def test_the_tiny_network_answers_as_worked_out_by_hand() -> None:
+    state = PREDICTOR.start(0.0, np.full(3, 21.0), IDLE)
+    np.testing.assert_allclose(state.coefficients, [4.0, 4.0, 2.0, -4.0], atol=1e-12)
+
+
+def test_modes_follow_a_step_as_first_order_lags() -> None:
+    """After the time t a lag has come 1 - exp(-t / τ) of the way, here with τ of 300 and 3600 s."""
+    state = PREDICTOR.start(0.0, np.full(3, 20.0), IDLE)
+    state = PREDICTOR.step(state, 1e-3, np.full(3, 21.0), IDLE)  # a step, but for a millisecond
+    for t in (60.0, 300.0, 4000.0):
+        state = PREDICTOR.step(state, t, np.full(3, 21.0), IDLE)
+        expected = 1.0 - np.exp(-t / np.array([300.0, 3600.0]))
+        np.testing.assert_allclose(state.modes, expected, atol=1e-5)
+
+
+def test_a_finer_walk_along_a_ramp_arrives_at_the_same_state() -> None:
+    """First-order hold is exact for ramps, so samples in between change nothing."""
+    ramp = [20.0 + 0.01 * t for t in (0.0, 1000.0)]
+    coarse = PREDICTOR.start(0.0, np.full(3, ramp[0]), IDLE)
+    coarse = PREDICTOR.step(coarse, 1000.0, np.full(3, ramp[1]), IDLE)
+    fine = PREDICTOR.start(0.0, np.full(3, ramp[0]), IDLE)
+    for t in np.sort(np.append(np.random.default_rng(7).uniform(0, 1000, 50), 1000.0)):
+        fine = PREDICTOR.step(fine, float(t), np.full(3, 20.0 + 0.01 * t), IDLE)
+    np.testing.assert_allclose(fine.modes, coarse.modes, atol=1e-10)
+
+
+def test_a_missing_sensor_is_estimated_and_time_does_not_go_back() -> None:
+    state = PREDICTOR.start(10.0, np.array([25.0, np.nan, 20.0]), IDLE)
+    assert state.inputs[1] == pytest.approx(22.0, abs=0.1)
+    with pytest.raises(ComputeError, match="samples must come in the order of time, got one 5 s before the last"):
+        PREDICTOR.step(state, 5.0, np.full(3, 20.0), IDLE)
+
+
+def test_following_a_run_is_stepping_through_it() -> None:
+    rng = np.random.default_rng(8)
+    run = Run("r", np.cumsum(rng.uniform(1, 300, 20)), rng.uniform(18, 30, (20, 3)), rng.uniform(0, 9000, (20, 1)))
+    followed = PREDICTOR.follow(run)
+    state = PREDICTOR.start(float(run.time_s[0]), run.temperatures[0], run.channels[0])
+    for i in range(1, 20):
+        state = PREDICTOR.step(state, float(run.time_s[i]), run.temperatures[i], run.channels[i])
+    np.testing.assert_array_equal(followed[-1], state.coefficients)
+
+
+def test_geometry_rows_are_checked_on_loading(copy: Path) -> None:
+    (copy / "geometry.csv").write_text("term,position,value\nEQQ,,1\n")
+    with pytest.raises(BundleError, match="geometry.csv does not match"):
+        load_bundle(copy)
+    import hashlib
+
+    digest = hashlib.sha256((copy / "geometry.csv").read_bytes()).hexdigest()
+    edit(copy, lambda m: m["files"].update({"geometry.csv": digest}))
+    with pytest.raises(DataError, match="bundle '.*', geometry.csv, row 1: unknown error term 'EQQ'"):
+        load_bundle(copy)

@@ -1,0 +1,46 @@
+import numpy as np
+import pytest
+from machines import machine_text
+
+from model.fields import GRID_POINTS, Fields
+from model.machine import parse_machine
+
+MACHINE = parse_machine(machine_text())
+FIELDS = Fields(MACHINE, ("EXX", "EBY", "EC0Y", "EZ0T"), 3)
+RNG = np.random.default_rng(4)
+
+
+def test_a_motion_term_is_its_chebyshev_series_and_a_location_term_its_coefficient() -> None:
+    assert FIELDS.size == 4 + 4 + 1 + 1
+    coefficients = np.zeros((1, FIELDS.size))
+    coefficients[0, FIELDS.slices()["EXX"]] = [1.0, 2.0, 3.0, 4.0]
+    coefficients[0, FIELDS.slices()["EC0Y"]] = 5.0
+    e = FIELDS.evaluate(coefficients, np.array([[600.0, 0.0, 0.0]]))[0]  # ξ = 0.5
+    expected = 1.0 + 2.0 * 0.5 + 3.0 * (2 * 0.25 - 1) + 4.0 * (4 * 0.125 - 1.5)
+    assert e[MACHINE.term_index["EXX"]] == pytest.approx(expected * 1e-3)
+    assert e[MACHINE.term_index["EC0Y"]] == pytest.approx(5e-6)
+    assert np.count_nonzero(e) == 2
+
+
+def test_the_tabulated_map_is_the_series_at_its_knots_and_close_in_between() -> None:
+    coefficients = RNG.uniform(-100, 100, FIELDS.size)
+    table = FIELDS.tabulate(coefficients)
+    for name, axis in MACHINE.axes.items():
+        column = MACHINE.axis_names.index(name)
+        for n, tolerance in ((GRID_POINTS, 1e-12), (1001, 0.5e-3)):
+            q = np.zeros((n, 3))
+            q[:, column] = np.linspace(axis.low, axis.high, n)
+            direct = FIELDS.evaluate(np.tile(coefficients, (n, 1)), q)
+            np.testing.assert_allclose(table.evaluate(q), direct, atol=tolerance)
+
+
+def test_halving_the_grid_quarters_the_gap() -> None:
+    """Linear interpolation is of second order."""
+    series = np.array([0.0, 0.0, 0.0, 1.0])
+    gaps = []
+    for n in (GRID_POINTS, 2 * GRID_POINTS - 1):
+        knots = np.linspace(0.0, 800.0, n)
+        fine = np.linspace(0.0, 800.0, 5001)
+        direct = FIELDS.basis("EXX", fine) @ series
+        gaps.append(np.abs(np.interp(fine, knots, FIELDS.basis("EXX", knots) @ series) - direct).max())
+    assert np.log2(gaps[0] / gaps[1]) == pytest.approx(2.0, abs=0.1)
