@@ -47,9 +47,7 @@ class BearingFriction:
 
     def power(self, speed: Array) -> Array:
         """Return the friction heat of all bearings of the set [W] at these speeds [rpm]."""
-        viscous = (
-            1e-7 * self.lubrication * (self.viscosity_mm2_per_s * speed) ** (2 / 3) * self.mean_diameter_mm**3
-        )
+        viscous = 1e-7 * self.lubrication * (self.viscosity_mm2_per_s * speed) ** (2 / 3) * self.mean_diameter_mm**3
         heat: Array = self.number * 1.047e-4 * speed * (viscous + self.load_torque_N_mm)
         return heat
 

@@ -35,9 +35,7 @@ def open_shop(machine: str) -> Shop:
 
 
 def _unknown(name: str) -> InputError:
-    return InputError(
-        f"machine '{name}' must have a thermal design to be simulated; the shop has {', '.join(DESIGNS)}"
-    )
+    return InputError(f"machine '{name}' must have a thermal design to be simulated; the shop has {', '.join(DESIGNS)}")
 
 
 def _check(described: Machine, known: Machine, design: Design) -> None:

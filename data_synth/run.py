@@ -85,9 +85,7 @@ def simulate(shop: Shop, name: str, kind: str, seed: tuple[int, ...], hours: flo
     programme = cycles.make(kind, design.capability, hours, plan, PERIOD_S).after(before)
     climate = SWINGING if kind == "night" else SHOP
     boundary = surroundings(climate, len(programme), PERIOD_S, weather)
-    conditions = [
-        np.exp(wander(CONDITION_SPREAD, CONDITION_S, len(programme), PERIOD_S, dirt)) for _ in design.sources
-    ]
+    conditions = [np.exp(wander(CONDITION_SPREAD, CONDITION_S, len(programme), PERIOD_S, dirt)) for _ in design.sources]
     power = design.heat(programme, conditions)
     start = design.network.steady(REST, power[0] * 0.0, boundary[0])
     points, which = programme.operating_points(design.capability.top_rpm)

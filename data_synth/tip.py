@@ -23,9 +23,7 @@ def tip_deviation(machine: Machine, terms: Terms) -> Array:
     """
     at = {axis: np.linspace(0, len(p) - 1, PLACES).astype(np.intp) for axis, p in terms.positions_mm.items()}
     grid = list(product(*(at[axis] for axis in machine.axis_names)))
-    q = np.array(
-        [[terms.positions_mm[a][i] for a, i in zip(machine.axis_names, place, strict=True)] for place in grid]
-    )
+    q = np.array([[terms.positions_mm[a][i] for a, i in zip(machine.axis_names, place, strict=True)] for place in grid])
     by_term = Chain(machine).sensitivity(q)[:, :3]  # (places, 3, K)
     deviation = np.zeros((len(next(iter(terms.location.values()))), len(grid), 3))
     for k, term in enumerate(machine.terms):

@@ -200,9 +200,7 @@ def _sources() -> tuple[Source, ...]:
     sources: list[Source] = [
         SpindleSource(front, {"spindle_front": 0.65, "spindle_shaft": 0.35}, load_sensitivity=1.0),
         SpindleSource(rear, {"spindle_rear": 0.65, "spindle_shaft": 0.35}, load_sensitivity=0.3),
-        SpindleSource(
-            motor, {"motor": 0.85, "head_front_left": 0.05, "head_front_right": 0.1}, load_sensitivity=0.8
-        ),
+        SpindleSource(motor, {"motor": 0.85, "head_front_left": 0.05, "head_front_right": 0.1}, load_sensitivity=0.8),
         StandingSource({"column_lower_left": 0.7, "column_lower_rear": 0.3}, always_W=60.0),  # hydraulics
         StandingSource({"coolant": 1.0}, coolant_W=350.0),  # pump
         StandingSource({"coolant": 0.5, "table_left": 0.2, "table_right": 0.3}, load_W=500.0),  # chips

@@ -69,9 +69,7 @@ def load_bundle(path: str | Path) -> Bundle:
     _check_files(path, manifest, where)
     machine = load_machine(path)
     if manifest.machine != machine.name:
-        raise BundleError(
-            f"{where}: {MANIFEST} is for machine '{manifest.machine}', {MACHINE} for '{machine.name}'"
-        )
+        raise BundleError(f"{where}: {MANIFEST} is for machine '{manifest.machine}', {MACHINE} for '{machine.name}'")
     network = _read(path / NETWORK, where) if NETWORK in manifest.files else None
     if (network is None) != (manifest.network is None):
         raise BundleError(f"{where}: {NETWORK} and the manifest's 'network' must come together; export it again")

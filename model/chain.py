@@ -84,9 +84,7 @@ class Chain:
         """Return E(t) = T_w P - T_t D of eq. (8) and (12), in the bed frame, shape (n, 3) [mm]."""
         frames = self._bed_T_bodies(q, e, form)
         nominal = self.tip(q, None, tool_mm)
-        error: Array = apply(frames[self._workpiece], nominal) - apply(
-            frames[self._tool], self._tip_in_tool(tool_mm)
-        )
+        error: Array = apply(frames[self._workpiece], nominal) - apply(frames[self._tool], self._tip_in_tool(tool_mm))
         return error
 
     def sensitivity(self, q: Array, tool_mm: Array | None = None) -> Array:

@@ -11,13 +11,9 @@ PATH = click.Path(path_type=Path)
 errors_option = click.option(
     "--errors", required=True, type=PATH, help="Error table: term, position, value [µm or µrad]."
 )
-positions_option = click.option(
-    "--positions", required=True, type=PATH, help="Positions: one column per axis [mm]."
-)
+positions_option = click.option("--positions", required=True, type=PATH, help="Positions: one column per axis [mm].")
 out_option = click.option("--out", required=True, type=PATH, help="File to write, .csv or .parquet.")
-tool_option = click.option(
-    "--tool-length", type=float, help="Tool length [mm]; default: the machine's tool offset."
-)
+tool_option = click.option("--tool-length", type=float, help="Tool length [mm]; default: the machine's tool offset.")
 
 
 @click.command()
@@ -26,9 +22,7 @@ tool_option = click.option(
 @positions_option
 @out_option
 @tool_option
-@click.option(
-    "--small-angle", is_flag=True, help="Use the small-angle transforms of eq. (3) and not the exact ones."
-)
+@click.option("--small-angle", is_flag=True, help="Use the small-angle transforms of eq. (3) and not the exact ones.")
 def deviation(
     machine: Path, errors: Path, positions: Path, out: Path, tool_length: float | None, small_angle: bool
 ) -> None:

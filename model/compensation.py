@@ -78,9 +78,7 @@ def _compensate(chain: Chain, q: Array, errors: ErrorMap, tool_mm: Array | None)
         residual: Array = np.linalg.norm(miss, axis=1)
         if residual.max(initial=0.0) <= CONVERGED_MM:
             break
-        corrected = (
-            corrected - np.linalg.solve(_jacobian(chain, corrected, errors, tool_mm), miss[..., None])[..., 0]
-        )
+        corrected = corrected - np.linalg.solve(_jacobian(chain, corrected, errors, tool_mm), miss[..., None])[..., 0]
     return corrected, residual
 
 

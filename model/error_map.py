@@ -69,9 +69,7 @@ class ErrorMap:
                 raise DataError(f"{at}: value of {term.name} must be finite, got {value}")
             if term.kind == "location":
                 if position is not None:
-                    raise DataError(
-                        f"{at}: {term.name} is a location term; leave its position empty, got {position:g}"
-                    )
+                    raise DataError(f"{at}: {term.name} is a location term; leave its position empty, got {position:g}")
                 if term.name in seen:
                     raise DataError(f"{at}: {term.name} stands twice; keep one row")
                 seen.add(term.name)
@@ -86,9 +84,7 @@ class ErrorMap:
         return cls._from_tables(machine, motion_rows, location[machine.location_columns])
 
     @classmethod
-    def _from_tables(
-        cls, machine: Machine, tables: Mapping[str, Mapping[float, float]], location: Array
-    ) -> ErrorMap:
+    def _from_tables(cls, machine: Machine, tables: Mapping[str, Mapping[float, float]], location: Array) -> ErrorMap:
         knots: dict[str, Array] = {}
         motion: dict[str, Array] = {}
         for axis in machine.axis_names:
@@ -106,9 +102,7 @@ class ErrorMap:
             left, weight, _ = self._segments(axis, q)
             values = self.motion[axis]
             right = np.minimum(left + 1, values.shape[1] - 1)
-            e[:, self.machine.motion_columns[axis]] = (
-                values[:, left] * (1.0 - weight) + values[:, right] * weight
-            ).T
+            e[:, self.machine.motion_columns[axis]] = (values[:, left] * (1.0 - weight) + values[:, right] * weight).T
         return e
 
     def slopes(self, q: Array) -> Array:
@@ -121,9 +115,7 @@ class ErrorMap:
             inside = (q[:, self._column(axis)] >= self.knots[axis][0]) & (
                 q[:, self._column(axis)] < self.knots[axis][-1]
             )
-            slopes[:, self.machine.motion_columns[axis]] = (
-                (values[:, right] - values[:, left]) / width * inside
-            ).T
+            slopes[:, self.machine.motion_columns[axis]] = ((values[:, right] - values[:, left]) / width * inside).T
         return slopes
 
     def __add__(self, other: ErrorMap) -> ErrorMap:

@@ -179,8 +179,7 @@ class Machine:
         name = canonical_name(written)
         if name not in self.term_index:
             raise MachineError(
-                f"unknown error term '{written}' for machine '{self.name}'"
-                + did_you_mean(name, list(self.term_index))
+                f"unknown error term '{written}' for machine '{self.name}'" + did_you_mean(name, list(self.term_index))
             )
         return self.terms[self.term_index[name]]
 

@@ -25,9 +25,7 @@ def read_positions(path: str | Path, machine: Machine, required: tuple[str, ...]
         where an axis' column is missing, or a coordinate is not finite or outside its axis' range.
     """
     table = read_table(path, required=(*required, *machine.axis_names))
-    return table, check_positions(
-        np.stack([table.numbers[a] for a in machine.axis_names], axis=1), machine, str(path)
-    )
+    return table, check_positions(np.stack([table.numbers[a] for a in machine.axis_names], axis=1), machine, str(path))
 
 
 def check_positions(q: Array, machine: Machine, where: str) -> Array:

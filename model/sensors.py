@@ -39,9 +39,7 @@ class SensorModel:
         """
         known = np.isfinite(temperatures)
         if not known.any(axis=0).all():
-            raise DataError(
-                f"each sensor must have readings, got none in column {int(np.argmin(known.any(axis=0)))}"
-            )
+            raise DataError(f"each sensor must have readings, got none in column {int(np.argmin(known.any(axis=0)))}")
         count = known.sum(axis=0)
         mean = np.where(known, temperatures, 0.0).sum(axis=0) / count
         centred = np.where(known, temperatures - mean, 0.0)
@@ -61,6 +59,8 @@ class SensorModel:
         """
         filled: Array = np.array(temperatures, dtype=float, ndmin=2)
         missing = ~np.isfinite(filled)
+        if not missing.any():
+            return filled.reshape(np.shape(temperatures))
         # Faults last: few distinct patterns of missing sensors occur, so each is solved once.
         for pattern in np.unique(missing[missing.any(axis=1)], axis=0):
             rows = (missing == pattern).all(axis=1)

@@ -103,6 +103,5 @@ def _check_finite(path: str | Path, what: str, values: Array, names: Sequence[st
     if wrong.any():
         row, column = (int(i) for i in np.argwhere(wrong)[0])
         raise DataError(
-            f"'{path}': {what} '{names[column]}' must be a finite number, got {values[row, column]} "
-            f"in row {row + 1}"
+            f"'{path}': {what} '{names[column]}' must be a finite number, got {values[row, column]} in row {row + 1}"
         )

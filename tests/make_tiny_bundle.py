@@ -5,7 +5,6 @@ so what it must answer can be worked out by hand: all sensors 1 K above 20 °C f
 EZ0T = -4 µm, EXX = 0 ... +8 µm over the axis and EC0Y = 2 µrad.
 """
 
-import math
 from pathlib import Path
 
 import torch
@@ -13,7 +12,7 @@ import torch
 from model.bundle import write_bundle
 from model.machine import parse_machine
 from model.manifest import NetworkRecord
-from model.network import EXPORTER, OPSET, Scaling, Shape, ThermalNetwork, export_onnx
+from model.network import EXPORTER, OPSET, InputScale, Prior, ThermalNetwork, export_onnx
 
 FOLDER = Path(__file__).parent / "data" / "tiny_bundle"
 
@@ -52,26 +51,23 @@ TIME_CONSTANTS_S = [300.0, 3600.0]
 def main() -> None:
     """Write the bundle."""
     machine = parse_machine(MACHINE)
-    coefficients = 2 + 1 + 1  # EXX of degree 1, EC0Y, EZ0T
-    shape = Shape(sensors=3, channels=1, modes=2, hidden=0, coefficients=coefficients)
-    net = ThermalNetwork(shape, Scaling(20.0, 1.0, [10000.0], [1.0] * coefficients)).double()
+    scale = InputScale(centre_degC=[20.0] * 3, swing_K=1.0, largest=[10000.0], switched=[False])
+    prior = Prior(tuple(TIME_CONSTANTS_S), powers=(1.0,), source=1.0, instant=1.0, tau_exponent=0.0, common=0.0)
+    net = ThermalNetwork(scale, prior, coefficients=2 + 1 + 1)  # EXX of degree 1, EC0Y, EZ0T
     with torch.no_grad():
-        net.log_tau.copy_(torch.tensor([math.log(t) for t in TIME_CONSTANTS_S]))
-        for parameter in (net.excite.weight, net.linear.weight):
-            parameter.zero_()
-        # Mode 0 follows the mean temperature within minutes, mode 1 within an hour; full speed adds 2 K.
-        net.excite.weight[:, :3] = 1.0 / 3.0
-        net.excite.weight[:, 3] = 2.0
-        net.linear.weight[0, 4 + 1] = 4.0  # EXX: mean over the axis
-        net.linear.weight[1, 4 + 1] = 4.0  # EXX: slope, so that it is zero at X = 0
-        net.linear.weight[2, 4 + 1] = 2.0  # EC0Y
-        net.linear.weight[3, 4 + 0] = -4.0  # EZ0T: the spindle grows towards the workpiece
+        weights = net.linear.view(4, 3, 4)  # inputs, (immediate, fast mode, slow mode), coefficients
+        # The mean temperature counts, and full speed as much as 2 K.
+        for source, share in enumerate((1 / 3, 1 / 3, 1 / 3, 2.0)):
+            weights[source, 2, 0] = 4.0 * share  # EXX: mean over the axis
+            weights[source, 2, 1] = 4.0 * share  # EXX: slope, so that it is zero at X = 0
+            weights[source, 2, 2] = 2.0 * share  # EC0Y
+            weights[source, 1, 3] = -4.0 * share  # EZ0T: the spindle grows towards the workpiece
     record = NetworkRecord(
         sensors=["spindle", "column", "ambient"],
         channels=["spindle_rpm"],
         terms=TERMS,
         degree=1,
-        modes=2,
+        modes=net.modes,
         time_constants_s=TIME_CONSTANTS_S,
         datum="absolute",
         settling_time_s=3600.0,

@@ -80,9 +80,7 @@ def test_csv_holds_what_parquet_holds(dataset, tmp_path):
     make_dataset(SHOP, 3, 1.0, 7, tmp_path / "csv", form="csv")
     assert {p.name for p in (tmp_path / "csv").iterdir()} == FILES | {"telemetry.csv", "error_terms.csv"}
     for name, text in (("telemetry", ("run",)), ("error_terms", ("run", "term"))):
-        one, other = (
-            read_table(f, text=text) for f in (dataset / f"{name}.parquet", tmp_path / "csv" / f"{name}.csv")
-        )
+        one, other = (read_table(f, text=text) for f in (dataset / f"{name}.parquet", tmp_path / "csv" / f"{name}.csv"))
         for column, values in one.numbers.items():
             np.testing.assert_array_equal(values, other.numbers[column])
         for column in text:

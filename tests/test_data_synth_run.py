@@ -36,9 +36,7 @@ def test_a_run_does_not_depend_on_runs_before_it():
     fresh = open_shop("vmc3")
     alone = simulate(fresh, run_name(3), run_kind(3), (5, 3), 1.0)
     simulate(fresh, run_name(0), run_kind(0), (5, 0), 1.0)
-    np.testing.assert_array_equal(
-        alone.nodes_degC, simulate(fresh, run_name(3), run_kind(3), (5, 3), 1.0).nodes_degC
-    )
+    np.testing.assert_array_equal(alone.nodes_degC, simulate(fresh, run_name(3), run_kind(3), (5, 3), 1.0).nodes_degC)
 
 
 @pytest.mark.parametrize("kind", cycles.CYCLES)

@@ -151,9 +151,7 @@ def test_predict_follows_the_lag_from_the_first_sample(tmp_path: Path) -> None:
         tmp_path / "positions.csv",
         {"run": ["r"] * 2, "time_s": [0.0, 28740.0], "X": [0.0, 0.0], "Y": [0.0, 0.0], "Z": [0.0, 0.0]},
     )
-    done = run(
-        "predict", TINY, "telemetry.csv", "--positions", "positions.csv", "--out", "tip.parquet", cwd=tmp_path
-    )
+    done = run("predict", TINY, "telemetry.csv", "--positions", "positions.csv", "--out", "tip.parquet", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     table = read_table(tmp_path / "tip.parquet")
     assert [*table.text, *table.numbers] == ["run", "time_s", "X", "Y", "Z", "dx_um", "dy_um", "dz_um"]

@@ -1,0 +1,56 @@
+"""A small data set whose truth is known, for tests of training."""
+
+from pathlib import Path
+
+import numpy as np
+from machines import machine_text
+
+from model.tables import write_table
+
+TAU_S = 1200.0
+
+
+def write_dataset(
+    folder: Path, runs: int = 4, hours: float = 6.0, *, datum: str = "absolute", lag: bool = True, seed: int = 0
+) -> Path:
+    """Write runs of one sensor and a spindle: EZ0T = -5 µm per lagged kelvin, EXX = 0.02 µm per kelvin and mm.
+
+    With `lag`, the terms follow the sensor through a first-order lag of TAU_S, from equilibrium at the start.
+    """
+    rng = np.random.default_rng(seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "machine.toml").write_text(machine_text(extra="[sensors.ambient]\n"))
+    (folder / "dataset.toml").write_text(f'datum = "{datum}"\n')
+    telemetry: dict[str, list[float] | list[str]] = {
+        c: [] for c in ("run", "time_s", "spindle", "ambient", "spindle_rpm")
+    }
+    terms: dict[str, list[float] | list[str]] = {c: [] for c in ("run", "time_s", "term", "position", "value")}
+    for r in range(runs):
+        time_s = np.arange(0.0, hours * 3600.0, 120.0)
+        speed = np.repeat(rng.choice([0.0, 3000.0, 9000.0], len(time_s) // 30 + 1), 30)[: len(time_s)]
+        spindle = 22.0 + np.cumsum(rng.normal(0, 0.15, len(time_s)))
+        lagged = spindle.copy()
+        for i in range(1, len(time_s)):
+            a = np.exp(-120.0 / TAU_S)
+            phi = (1 - a) * TAU_S / 120.0
+            lagged[i] = a * lagged[i - 1] + (phi - a) * spindle[i - 1] + (1 - phi) * spindle[i]
+        felt = (lagged if lag else spindle) - 20.0
+        if datum == "run-start":
+            felt = felt - felt[0]
+        name = [f"r{r}"] * len(time_s)
+        for column, values in (
+            ("run", name), ("time_s", time_s), ("spindle", spindle), ("ambient", np.full(len(time_s), 20.0)),
+            ("spindle_rpm", speed),
+        ):  # fmt: skip
+            telemetry[column] += list(values)
+        for i in range(0, len(time_s), 3):
+            for term, position, value in (
+                ("EZ0T", np.nan, -5.0 * felt[i]),
+                *(("EXX", p, 0.02 * p * felt[i]) for p in (0.0, 400.0, 800.0)),
+            ):
+                for column, cell in zip(terms, (f"r{r}", time_s[i], term, position, value), strict=True):
+                    terms[column].append(cell)
+    write_table(folder / "telemetry.csv", telemetry)
+    terms["position"] = ["" if np.isnan(float(p)) else p for p in terms["position"]]
+    write_table(folder / "error_terms.csv", terms)
+    return folder

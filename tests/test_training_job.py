@@ -1,0 +1,115 @@
+"""From a data set to a bundle, through the command line's own functions."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from shop import write_dataset
+
+from model.bundle import load_bundle
+from model.predictor import Predictor
+from training.dataset import load_dataset
+from training.evaluation import NETWORK, NO_COMPENSATION, RIDGE
+from training.job import Result, train_bundle
+from training.trainer import Settings
+
+THERMOTRUE = str(Path(sys.executable).with_name("thermotrue"))
+ETVE = Path(os.environ.get("THERMOTRUE_ETVE", Path(__file__).parents[2] / "shared" / "data" / "etve"))
+
+
+def run(*args: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([THERMOTRUE, *map(str, args)], capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def trained(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Result:
+    return train_bundle(folder, tmp_path_factory.mktemp("trained") / "bundle", ["r4", "r5"], 0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_dataset(tmp_path_factory.mktemp("job") / "data", 6)
+
+
+def test_the_network_learns_a_lag_that_ridge_cannot_see(trained: Result) -> None:
+    assert trained.scores[NETWORK].share < 0.05
+    assert trained.scores[NETWORK].share < 0.3 * trained.scores[RIDGE].share
+    assert trained.scores[NO_COMPENSATION].share == 1.0
+    assert trained.bundle.manifest.training["runs"] == ["r0", "r1", "r2", "r3"]
+    assert trained.seen == []
+    assert trained.bundle.manifest.network is not None
+    assert trained.bundle.manifest.network.datum == "absolute"
+    assert 0.0 <= trained.bundle.manifest.network.settling_time_s < 4 * 3600
+
+
+def test_one_seed_gives_one_bundle_byte_for_byte(folder: Path, trained: Result, tmp_path: Path) -> None:
+    again = train_bundle(folder, tmp_path / "again", ["r4", "r5"], 0)
+    assert again.bundle.network == trained.bundle.network
+    assert again.bundle.version == trained.bundle.version
+
+
+def test_by_default_the_bundle_is_trained_on_everything_and_says_so(folder: Path, tmp_path: Path) -> None:
+    done = run("train", folder, "--out", tmp_path / "bundle", "--picture", tmp_path / "day.png")
+    assert done.returncode == 0, done.stderr
+    for name in (NO_COMPENSATION, RIDGE, NETWORK):
+        assert name in done.stdout
+    assert "trained again on everything (6 runs)" in done.stdout
+    assert (tmp_path / "day.png").read_bytes().startswith(b"\x89PNG")
+    manifest = load_bundle(tmp_path / "bundle").manifest
+    assert manifest.training["runs"] == list(load_dataset(folder).runs)
+    assert manifest.test["scores"][NETWORK]["share"] < 0.1
+
+    again = run("evaluate", tmp_path / "bundle", folder, "--runs", "r0,r1", "--json")
+    assert again.returncode == 0, again.stderr
+    result = json.loads(again.stdout)
+    assert result["trained_on"] == ["r0", "r1"]
+    assert result["scores"][NETWORK]["share"] < 0.1
+    told = run("evaluate", tmp_path / "bundle", folder, "--runs", "r0")
+    assert "note: the bundle was trained on r0, so these figures flatter it" in told.stderr
+
+
+def test_the_cubic_fields_lose_nothing_that_was_linear(trained: Result) -> None:
+    """EXX runs linearly along X, so the prediction between the measured positions must, too."""
+    result = trained
+    predictor = Predictor(result.bundle)
+    assert predictor.fields.degree == Settings().degree
+    coefficients = predictor.follow(result.dataset.runs["r5"].telemetry)[-1]
+    q = np.zeros((9, 3))
+    q[:, 0] = np.linspace(0.0, 800.0, 9)
+    exx = predictor.fields.evaluate(np.tile(coefficients, (9, 1)), q)[:, result.bundle.machine.term_index["EXX"]]
+    np.testing.assert_allclose(exx, np.linspace(exx[0], exx[-1], 9), atol=0.02 * np.abs(exx).max())
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["--test-runs", "r9"], "thermotrue: --test-runs names run 'r9'"),
+        (["--test-runs", "r0,r1,r2,r3,r4,r5"], "thermotrue: test runs must leave runs to train on, got all 6"),
+    ],
+)
+def test_wrong_splits_write_nothing(folder: Path, tmp_path: Path, args: list[str], message: str) -> None:
+    done = run("train", folder, "--out", tmp_path / "bundle", *args)
+    assert done.returncode == 2
+    assert done.stderr.startswith(message)
+    assert not (tmp_path / "bundle").exists()
+
+
+def test_a_bundle_of_another_machine_is_not_evaluated(folder: Path) -> None:
+    tiny = Path(__file__).parent / "data" / "tiny_bundle"
+    done = run("evaluate", tiny, folder)
+    assert done.returncode == 2
+    assert "must be of a machine with the bundle's error terms" in done.stderr
+
+
+@pytest.mark.skipif(not ETVE.is_dir(), reason=f"no measured data at {ETVE}; set THERMOTRUE_ETVE to its folder")
+def test_a_real_machines_recording_trains_and_its_bundle_predicts(tmp_path: Path) -> None:
+    result = train_bundle(ETVE, tmp_path / "bundle", None, 0)
+    assert result.left_out.startswith("the last spindle phase, 5000 rpm")
+    assert result.scores[NETWORK].share < result.scores[RIDGE].share < 1.0
+    predictor = Predictor(load_bundle(tmp_path / "bundle"))
+    assert predictor.channels == ("spindle_rpm",)
+    assert predictor.datum == "run-start"

@@ -1,0 +1,1 @@
+"""Data sets in, bundle and report out (offline; needs the train extra)."""

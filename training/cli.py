@@ -1,0 +1,77 @@
+"""`thermotrue train` and `thermotrue evaluate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+PATH = click.Path(path_type=Path)
+
+
+def _names(_ctx: click.Context, _option: click.Parameter, value: str | None) -> list[str] | None:
+    return None if value is None else value.split(",")
+
+
+@click.command()
+@click.argument("dataset", type=PATH)
+@click.option("--out", required=True, type=PATH, help="Bundle folder to write; an older bundle there is replaced.")
+@click.option(
+    "--test-runs",
+    callback=_names,
+    help="Runs to leave out of training and of the bundle, separated by commas. By default a fifth of the runs "
+    "(of a single run: the last spindle phase) is left out to measure the network, which is then trained on all.",
+)
+@click.option("--seed", default=0, show_default=True, help="Of the split and the network's first weights.")
+@click.option("--picture", type=PATH, help="Draw the test run that drifts most, as measured and predicted.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+def train(
+    dataset: Path, out: Path, test_runs: list[str] | None, seed: int, picture: Path | None, as_json: bool
+) -> None:
+    """Train a thermal network on the data set folder DATASET and write a bundle that `thermotrue serve` takes.
+
+    Prints what the network, ridge regression and no compensation leave of the tool tip's deviation on
+    measurements it was not trained on.
+    """
+    from training.job import train_bundle
+
+    result = train_bundle(dataset, out, test_runs, seed)
+    if picture is not None:
+        result.draw(picture)
+    if as_json:
+        _print_json(result.as_dict())
+        return
+    from training.tables import print_scores
+
+    print_scores(result.scores, f"{result.machine}, left out: {result.left_out}")
+    click.echo(result.summary())
+
+
+@click.command()
+@click.argument("bundle", type=PATH)
+@click.argument("dataset", type=PATH)
+@click.option("--runs", callback=_names, help="Runs to test on, separated by commas; by default all.")
+@click.option("--picture", type=PATH, help="Draw the one that drifts most, as measured and predicted.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+def evaluate(bundle: Path, dataset: Path, runs: list[str] | None, picture: Path | None, as_json: bool) -> None:
+    """Measure what the network of BUNDLE leaves of the tool tip's deviation on runs of DATASET."""
+    from training.job import evaluate_bundle
+
+    result = evaluate_bundle(bundle, dataset, runs)
+    if picture is not None:
+        result.draw(picture)
+    if as_json:
+        _print_json(result.as_dict())
+        return
+    from training.tables import print_scores
+
+    print_scores(result.scores, f"{result.machine}, {result.left_out}")
+    if result.seen:
+        click.echo(f"note: the bundle was trained on {', '.join(result.seen)}, so these figures flatter it", err=True)
+
+
+def _print_json(data: dict[str, Any]) -> None:
+    import json
+
+    click.echo(json.dumps(data, indent=1, allow_nan=False))

@@ -1,0 +1,74 @@
+"""The linear decoder in closed form: generalised ridge regression on the thermal modes.
+
+What the modes cannot explain is correlated over time, so neighbouring measurements say little anew. Rows are
+whitened as a first-order autoregressive process (Cochrane and Orcutt, J. Am. Stat. Assoc. 44 (1949) 32; Prais and
+Winsten, 1954), and the penalty is set against the number of independent measurements that remains. So the decoder
+does not depend on how often somebody measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from model.transforms import Array
+from training.labels import patterns
+from training.samples import Samples
+
+BIAS_SIZE = 1.0
+"""Prior size of the constant part of absolute deviations, beside one typical temperature swing (chosen)."""
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """Turns residuals that are correlated in time into independent ones of the same variance.
+
+    Attributes
+    ----------
+    keep : shape (N,), correlation with the row before, 0 at the first of each run
+    effective : number of independent rows
+    """
+
+    keep: Array
+    effective: float
+
+    @classmethod
+    def of(cls, samples: Samples, correlation_s: float) -> Whitening:
+        """Return the whitening of rows in time order within each run."""
+        gap = np.diff(samples.time_s)
+        same = np.diff(samples.run) == 0
+        keep = np.concatenate([[0.0], np.where(same, np.exp(-np.where(same, gap, 0.0) / correlation_s), 0.0)])
+        return cls(keep, float(((1.0 - keep) / (1.0 + keep)).sum()))
+
+    def apply(self, rows: Array) -> Array:
+        """Return whitened rows (N, ...)."""
+        before = np.concatenate([np.zeros_like(rows[:1]), rows[:-1]])
+        keep = self.keep[:, None]
+        whitened: Array = (rows - keep * before) / np.sqrt(1.0 - keep**2)
+        return whitened
+
+
+def solve_decoder(samples: Samples, *, ridge: float, correlation_s: float, bias: bool) -> tuple[Array, Array]:
+    """Return the weights (F, P) and the bias (P,) of the linear decoder; zero where a coefficient was never seen.
+
+    Parameters
+    ----------
+    ridge : noise variance over prior variance
+    correlation_s : time over which what is left is correlated [s]
+    bias : whether the deviations have an absolute zero that may differ from the network's
+    """
+    width, outputs = samples.features.shape[1], samples.targets.shape[1]
+    found = np.zeros((width + 1, outputs))
+    constant = np.full((len(samples.features), 1), BIAS_SIZE if bias else 0.0)
+    features = np.concatenate([samples.features, constant], axis=1)
+    for rows, columns in patterns(np.isfinite(samples.targets)):
+        if not rows.any():
+            continue
+        whitening = Whitening.of(samples.where(rows), correlation_s)
+        x = whitening.apply(features[rows])
+        y = whitening.apply(samples.targets[np.ix_(rows, columns)])
+        normal = x.T @ x / whitening.effective + ridge * np.eye(width + 1)
+        found[:, columns] = cho_solve(cho_factor(normal), x.T @ y / whitening.effective)
+    return found[:-1], found[-1] * (BIAS_SIZE if bias else 0.0)

@@ -1,0 +1,184 @@
+"""Train the thermal network on the measured error terms of a data set."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from model.exceptions import ComputeError
+from model.fields import Fields
+from model.network import Prior, Residual, ThermalNetwork
+from model.progress import Reporter
+from model.sensors import SensorModel
+from model.transforms import Array
+from training.dataset import DataSet
+from training.decoder import solve_decoder
+from training.evaluation import column_basis
+from training.residual import fit_residual
+from training.samples import Samples, collect, input_scale
+from training.split import Split
+from training.tip import TipMetric
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to train; one set of defaults for all data (docs/network.md says how they were found).
+
+    Attributes
+    ----------
+    prior : sizes and time constants of the modes
+    degree : of the motion terms' Chebyshev series
+    ridge : of the linear decoder, noise variance over prior variance
+    correlation_s : time over which the decoder's residual is taken to be correlated [s]
+    hidden, steps, learning_rate, weight_decay : of the nonlinear residual
+    folds : parts that the training data is cut into to find out whether the residual helps
+    seed : of the residual's first weights
+    """
+
+    prior: Prior = field(default_factory=Prior)
+    degree: int = 3
+    ridge: float = 0.1
+    correlation_s: float = 900.0
+    hidden: int = 16
+    steps: int = 300
+    learning_rate: float = 3e-3
+    weight_decay: float = 0.1
+    folds: int = 5
+    seed: int = 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it for the manifest."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether the nonlinear residual earns its place.
+
+    Attributes
+    ----------
+    keep : whether it does
+    left_linear, left_whole : share of the tip's drift that the linear decoder, and the decoder with the residual,
+        leave on parts of the training data that they were not fitted to
+    """
+
+    keep: bool
+    left_linear: float
+    left_whole: float
+
+
+@dataclass(frozen=True)
+class Training:
+    """A trained network."""
+
+    net: ThermalNetwork
+    fields: Fields
+    verdict: Verdict
+
+
+def train_network(
+    dataset: DataSet,
+    split: Split,
+    metric: TipMetric,
+    sensor_model: SensorModel,
+    settings: Settings,
+    verdict: Verdict | None = None,
+) -> Training:
+    """Return a network trained on the training part of a split; one seed gives one network.
+
+    `verdict` is that of an earlier training on part of the same data; without it, folds of the data decide whether
+    the residual is kept.
+
+    Raises
+    ------
+    ComputeError
+        where the decoder is not finite.
+    """
+    fields = Fields(dataset.machine, dataset.terms, settings.degree)
+    scale = input_scale(dataset, split.train_runs, sensor_model)
+    net = ThermalNetwork(scale, settings.prior, fields.size)
+    samples = collect(net, dataset, split.train, fields, sensor_model)
+    basis = column_basis(fields, dataset.columns)
+    decoder = _Decoder(settings, basis.T @ metric.gram @ basis, bias=dataset.datum == "absolute")
+    folds = _folds(samples, settings.folds) if verdict is None else []
+    with Reporter("training", settings.steps * (len(folds) + 1)) as reporter:
+        if verdict is None:
+            verdict = decoder.verdict(samples, folds, reporter)
+        linear, bias, residual = decoder.fit(samples, reporter, residual=verdict.keep)
+    if not (np.isfinite(linear).all() and np.isfinite(bias).all()):
+        raise ComputeError("the decoder must be finite; look for extreme values in the data set")
+    with torch.no_grad():
+        net.linear.copy_(torch.tensor(linear))
+        net.bias.copy_(torch.tensor(bias))
+    net.residual = residual
+    return Training(net, fields, verdict)
+
+
+class _Decoder:
+    """Fits linear decoder and residual, and judges them on left-out samples."""
+
+    def __init__(self, settings: Settings, form: Array, *, bias: bool) -> None:
+        self._settings, self._form, self._bias = settings, form, bias
+
+    def fit(self, samples: Samples, reporter: Reporter, *, residual: bool) -> tuple[Array, Array, Residual | None]:
+        """Return the linear decoder's weights and bias, and the residual, if it is wanted."""
+        s = self._settings
+        linear, bias = solve_decoder(samples, ridge=s.ridge, correlation_s=s.correlation_s, bias=self._bias)
+        if not residual:
+            return linear, bias, None
+        fitted = fit_residual(
+            samples,
+            linear,
+            bias,
+            self._form,
+            hidden=s.hidden,
+            steps=s.steps,
+            learning_rate=s.learning_rate,
+            weight_decay=s.weight_decay,
+            correlation_s=s.correlation_s,
+            seed=s.seed,
+            reporter=reporter,
+        )
+        return linear, bias, fitted
+
+    def verdict(self, samples: Samples, folds: list[NDArray[np.bool_]], reporter: Reporter) -> Verdict:
+        """Return whether the residual lowers what is left on the folds."""
+        squares = [self._judge(samples.where(f), samples.where(~f), reporter) for f in folds]
+        base, left_linear, left_whole = np.sqrt(np.sum(squares, axis=0)) if squares else (0.0, 0.0, 0.0)
+        if base == 0.0:
+            return Verdict(keep=False, left_linear=0.0, left_whole=0.0)
+        return Verdict(bool(left_whole < left_linear), float(left_linear / base), float(left_whole / base))
+
+    def _judge(self, inside: Samples, outside: Samples, reporter: Reporter) -> tuple[float, float, float]:
+        """Return the summed mean squares at the tip: of the drift, left by the linear decoder, left by the whole."""
+        linear, bias, residual = self.fit(inside, reporter, residual=True)
+        left = outside.targets - outside.features @ linear - bias
+        return self._square(outside.targets), self._square(left), self._square(left - _added(residual, outside))
+
+    def _square(self, coefficients: Array) -> float:
+        known = np.nan_to_num(coefficients)
+        return float(((known @ self._form) * known).sum())
+
+
+def _added(residual: Residual | None, samples: Samples) -> Array:
+    if residual is None:
+        return np.zeros_like(samples.targets)
+    with torch.no_grad():
+        added: Array = residual(torch.tensor(samples.features + samples.first)).numpy()
+        if np.any(samples.first):
+            added = added - residual(torch.tensor(samples.first)).numpy()
+    return added
+
+
+def _folds(samples: Samples, count: int) -> list[NDArray[np.bool_]]:
+    """Return which samples are inside for each fold: whole runs are left out, of a single run stretches of time."""
+    runs = np.unique(samples.run)
+    if len(runs) == 1:
+        part = np.arange(len(samples.run)) * count // len(samples.run)
+    else:
+        part = np.searchsorted(runs, samples.run) % count
+    return [part != k for k in np.unique(part)] if len(np.unique(part)) > 1 else []
