@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -38,13 +38,13 @@ def check(schema: type[Record], data: Mapping[str, Any], where: str, error: type
     try:
         return schema.model_validate(data)
     except ValidationError as problem:
-        raise error(sentence(problem, schema, where)) from None
+        raise error(sentence(problem.errors(), schema, where)) from None
 
 
-def sentence(problem: ValidationError, schema: type[BaseModel], where: str) -> str:
-    """Turn the first of pydantic's findings into one sentence."""
+def sentence(findings: Sequence[Mapping[str, Any]], schema: type[BaseModel], where: str) -> str:
+    """Turn the first of pydantic's findings (`ValidationError.errors()`) into one sentence."""
     # A misspelt key also shows up as a missing one; the misspelling is the more useful thing to say.
-    first = min(problem.errors(), key=lambda e: e["type"] != "extra_forbidden")
+    first = min(findings, key=lambda e: e["type"] != "extra_forbidden")
     path = [str(part) for part in first["loc"]]
     if first["type"] == "extra_forbidden":
         return f"unknown key '{'.'.join(path)}' in {where}{did_you_mean(path[-1], _keys(schema, path))}"

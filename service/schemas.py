@@ -1,0 +1,209 @@
+"""What goes over the wire: request bodies, checked here, and replies. The units are in the names."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+
+from service.status import Status
+from service.timestamps import QueryTimestamp, Timestamp
+
+MAX_POSITIONS_PER_REQUEST = 2000
+"""Their correction takes about 0.1 s of one core, which other requests wait for."""
+MAX_SAMPLES_PER_REQUEST = 4000
+"""An hour at one a second with room to spare; the network steps through them in about half a second."""
+MAX_TOOL_LENGTH_MM = 2000.0
+"""Longer than any tool. A length given in µm by mistake would slow the rate limit down for good."""
+
+Name = Annotated[str, StringConstraints(max_length=64)]
+"""An axis, sensor or channel. No name is longer; a longer one is not looked up."""
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Temperature = Annotated[float | None, Field(description="Reading [°C]; null where there is none.")]
+
+
+class Body(BaseModel):
+    """A request body: refuses unknown keys, and text in place of numbers."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+class Sample(Body):
+    """One telemetry sample."""
+
+    time: Timestamp
+    temperatures: dict[Name, Temperature]
+    channels: dict[Name, Number] = Field(default_factory=dict, description="Other inputs, such as spindle_rpm.")
+
+
+class TelemetryRequest(Body):
+    """Telemetry samples, in any order."""
+
+    samples: Annotated[list[Sample], Field(min_length=1, max_length=MAX_SAMPLES_PER_REQUEST)]
+
+
+class ToolRequest(Body):
+    """The tool in the spindle."""
+
+    length_mm: Annotated[float, Field(ge=0, le=MAX_TOOL_LENGTH_MM, allow_inf_nan=False)]
+
+
+class CompensateRequest(Body):
+    """Programmed positions, and optionally the tool, the time and a telemetry sample."""
+
+    positions: Annotated[list[dict[Name, Number]], Field(min_length=1, max_length=MAX_POSITIONS_PER_REQUEST)]
+    tool: ToolRequest | None = Field(None, description="Default: the tool of the machine description.")
+    time: Timestamp | None = Field(None, description="Default: the service's clock.")
+    temperatures: dict[Name, Temperature] | None = Field(None, description="Counts as a telemetry sample first.")
+    channels: dict[Name, Number] | None = Field(None, description="Goes with `temperatures`.")
+
+
+class ErrorsQuery(BaseModel):
+    """Positions as one list per axis, all of one length; without any, the map's own grid."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    X: list[Number] | None = None
+    Y: list[Number] | None = None
+    Z: list[Number] | None = None
+    U: list[Number] | None = None
+    V: list[Number] | None = None
+    W: list[Number] | None = None
+    A: list[Number] | None = None
+    B: list[Number] | None = None
+    C: list[Number] | None = None
+    time: QueryTimestamp | None = Field(None, description="Default: the service's clock.")
+
+
+class Header(BaseModel):
+    """What every reply about a machine starts with."""
+
+    machine: str
+    time: str = Field(description="The machine's clock, RFC 3339.")
+    model: str = Field(description="Version of the bundle that answered.")
+    status: Status
+
+
+class TelemetryReply(Header):
+    """What became of the samples."""
+
+    accepted: int = Field(description="Samples that the thermal state has taken in.")
+    ignored: int = Field(description="Samples no newer than the state, or of no use to this machine.")
+    warnings: list[str]
+
+
+class Vector(BaseModel):
+    """In the workpiece frame."""
+
+    x: float
+    y: float
+    z: float
+
+
+class Point(BaseModel):
+    """One position's answer."""
+
+    corrected: dict[str, float] = Field(description="Coordinates to command [mm].")
+    correction: dict[str, float] = Field(description="Corrected minus programmed [mm].")
+    deviation_um: Vector = Field(
+        description="Where the tip would be, less where it should be, at the programmed position; not limited."
+    )
+    limited: bool = Field(description="The rate or the absolute limit holds the correction back.")
+
+
+class CompensateReply(Header):
+    """Corrected coordinates, in the order of the positions."""
+
+    warnings: list[str]
+    points: list[Point]
+
+
+class TermErrors(BaseModel):
+    """One error term; its lists run over `at_mm`, or over the positions asked for."""
+
+    term: str
+    unit: Literal["um", "urad"]
+    axis: str | None = Field(description="The axis it is a function of; null for a location term.")
+    at_mm: list[float] | None = Field(description="Positions on that axis; null for a location term.")
+    geometric: list[float]
+    thermal: list[float] = Field(description="After datum and weight, as it counts in the total.")
+    total: list[float]
+
+
+class ErrorsReply(Header):
+    """Error terms predicted now: what the correction is on its way to."""
+
+    warnings: list[str]
+    thermal_weight: float = Field(description="How much of the thermal part counts, 0 ... 1.")
+    terms: list[TermErrors]
+
+
+class Datum(BaseModel):
+    """What thermal displacements are measured against."""
+
+    kind: Literal["absolute", "run-start", "set"]
+    time: str | None = Field(description="When that state was; null for absolute, or before the first sample.")
+
+
+class DatumReply(Header):
+    """The datum in force."""
+
+    datum: Datum
+
+
+class AxisInfo(BaseModel):
+    """One axis."""
+
+    range_mm: tuple[float, float]
+
+
+class SensorInfo(BaseModel):
+    """One sensor."""
+
+    range_degC: tuple[float, float]
+    max_rate_degC_per_min: float
+    used: bool = Field(description="Whether the network reads it.")
+    valid_range_degC: tuple[float, float] | None = Field(description="Temperatures the network was trained on.")
+    fault: str | None = Field(description="Why its last reading was replaced; null for a good one.")
+
+
+class TermInfo(BaseModel):
+    """One error term."""
+
+    term: str
+    unit: Literal["um", "urad"]
+    kind: Literal["motion", "location"]
+    axis: str | None
+
+
+class LimitsInfo(BaseModel):
+    """Bounds of the correction."""
+
+    max_correction_um: float
+    max_rate_um_per_min: float
+
+
+class MachineReply(Header):
+    """What is served for one machine."""
+
+    warnings: list[str]
+    axes: dict[str, AxisInfo]
+    tool_offset_mm: tuple[float, float, float]
+    sensors: dict[str, SensorInfo]
+    channels: list[str]
+    terms: list[TermInfo]
+    limits: LimitsInfo
+    datum: Datum
+    telemetry_time: str | None = Field(description="Of the newest sample; null before the first.")
+
+
+class MachinesReply(BaseModel):
+    """All machines."""
+
+    machines: list[MachineReply]
+
+
+class HealthReply(BaseModel):
+    """Liveness or readiness."""
+
+    status: Literal["ok", "ready"]
