@@ -1,0 +1,23 @@
+ARG PYTHON_IMAGE=python:3.11-slim-bookworm
+
+FROM ${PYTHON_IMAGE} AS build
+WORKDIR /src
+COPY pyproject.toml constraints.txt README.md LICENSE ./
+COPY model model
+COPY training training
+COPY service service
+COPY data_synth data_synth
+RUN python3 -m venv /opt/thermotrue \
+ && /opt/thermotrue/bin/python -m pip install --quiet --no-cache-dir --constraint constraints.txt .
+
+FROM ${PYTHON_IMAGE}
+RUN useradd --system --uid 10001 --no-create-home thermotrue
+COPY --from=build /opt/thermotrue /opt/thermotrue
+COPY demo/vmc3 /bundles/vmc3
+ENV PATH=/opt/thermotrue/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1
+USER 10001
+EXPOSE 8000
+HEALTHCHECK --interval=5s --timeout=3s --start-period=20s \
+  CMD ["python3", "-c", "import urllib.request as u; u.urlopen('http://127.0.0.1:8000/readyz', timeout=2)"]
+# Beyond loopback, since a container's port is published by whoever runs it.
+CMD ["thermotrue", "serve", "/bundles/vmc3", "--host", "0.0.0.0", "--port", "8000", "--allow-remote"]
