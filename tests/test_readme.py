@@ -26,7 +26,8 @@ def test_every_command_is_listed_and_every_listed_one_exists() -> None:
 
 
 def test_the_commands_in_blocks_have_the_options_they_are_given() -> None:
-    lines = re.findall(r"^thermotrue (\w+)(.*)$", README, re.MULTILINE)
+    blocks = "\n".join(re.findall(r"```sh\n(.*?)```", README, re.DOTALL))
+    lines = re.findall(r"^thermotrue (\w+)(.*)$", blocks, re.MULTILINE)
     assert lines
     for name, rest in lines:
         known = {option for p in commands()[name].params for option in p.opts}
@@ -59,7 +60,7 @@ def test_links_lead_somewhere(page: str) -> None:
 
 def test_targets_named_exist() -> None:
     makefile = (ROOT / "Makefile").read_text()
-    for target in set(re.findall(r"`?make (\w+)", README)):
+    for target in set(re.findall(r"(?:`|^)make (\w+)", README, re.MULTILINE)):
         assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
 
 
