@@ -12,7 +12,9 @@ from typing import Literal
 
 import numpy as np
 
+from model.exceptions import MachineError
 from model.machine import Machine
+from model.structure import path_to
 from model.terms import DIRECTIONS
 from model.transforms import (
     Array,
@@ -23,7 +25,9 @@ from model.transforms import (
     skew,
     small_angle_error,
     translation,
+    turn,
 )
+from model.validation import did_you_mean
 
 Form = Literal["exact", "small-angle"]
 
@@ -43,42 +47,66 @@ class Deviation:
 
 
 class Chain:
-    """Kinematics of one machine, ideal and with errors.
+    """Kinematics of one machine from workpiece to one tool, ideal and with errors.
 
     Parameters
     ----------
     machine : the description
+    tool : name of the tool leaf; needed only where the machine has several
+
+    Raises
+    ------
+    MachineError
+        where the machine has no such tool, or several and none is named.
 
     Notes
     -----
-    Coordinates `q` have shape (n, A), columns in the order of `machine.axis_names` [mm]. Error terms `e` have
-    shape (n, K) or (K,), columns in the order of `machine.terms` [mm, rad]. `tool_mm` is the tool tip D in the
+    Coordinates `q` have shape (n, A), columns in the order of `machine.axis_names` [mm, degree]. Error terms `e`
+    have shape (n, K) or (K,), columns in the order of `machine.terms` [mm, rad]. `tool_mm` is the tool tip D in the
     tool frame, shape (3,), by default the machine's.
     """
 
-    def __init__(self, machine: Machine) -> None:
+    def __init__(self, machine: Machine, tool: str | None = None) -> None:
         self.machine = machine
-        self._columns = [
-            (self._slots(index, "motion"), self._slots(index, "location")) for index in range(len(machine.bodies))
-        ]
-        self._workpiece = self._leaf(-1)
-        self._tool = self._leaf(+1)
+        names = machine.tool_names
+        if tool is None and len(names) > 1:
+            raise MachineError(f"machine '{machine.name}' has the tools {', '.join(names)}; name one")
+        if tool is not None and tool not in names:
+            raise MachineError(f"unknown tool '{tool}' of machine '{machine.name}'" + did_you_mean(tool, list(names)))
+        self.tool = tool or names[0]
+        self._tool = machine.layout.tools[self.tool]
+        self._workpiece = machine.layout.workpiece
+        work_path = path_to(machine.bodies, self._workpiece)
+        tool_path = path_to(machine.bodies, self._tool)
+        self._order = sorted({*work_path, *tool_path})  # a body stands behind its lower body
+        # A body under both workpiece and tool moves them together, and its errors cancel.
+        self._sign = {i: (i in tool_path) - (i in work_path) for i in self._order}
+        self._columns = {i: (self._slots(i, "motion"), self._slots(i, "location")) for i in self._order}
+        self._axis = {i: machine.axes[b.axis] for i, b in enumerate(machine.bodies) if b.axis is not None}
+        self._to_internal = np.array([machine.axes[a].to_internal for a in machine.axis_names])
 
     def tip(self, q: Array, e: Array | None = None, tool_mm: Array | None = None, form: Form = "exact") -> Array:
         """Return the tool tip in the workpiece frame, shape (n, 3); without `e`, the ideal one: P."""
+        return self.pose(q, e, tool_mm, form)[0]
+
+    def pose(
+        self, q: Array, e: Array | None = None, tool_mm: Array | None = None, form: Form = "exact"
+    ) -> tuple[Array, Array]:
+        """Return the tool tip (n, 3) and `work_R_tool` (n, 3, 3), both in the workpiece frame."""
         frames = self._bed_T_bodies(q, e, form)
-        return apply_inverse(frames[self._workpiece], apply(frames[self._tool], self._tip_in_tool(tool_mm)))
+        work, tool = frames[self._workpiece], frames[self._tool]
+        tip = apply_inverse(work, apply(tool, self._tip_in_tool(tool_mm)))
+        return tip, np.asarray(np.linalg.solve(work[:, :3, :3], tool[:, :3, :3]), dtype=float)
 
     def deviation(self, q: Array, e: Array, tool_mm: Array | None = None, form: Form = "exact") -> Deviation:
-        """Return where the tip is, less where the ideal chain has it.
+        """Return where the tool is, less where the ideal chain has it.
 
-        In the exact form this is minus eq. (8) written in the erroneous workpiece frame. The small-angle form
-        builds the chain of eq. (3) and keeps the products of its terms.
+        In the exact form the position is minus eq. (8) written in the erroneous workpiece frame. The small-angle
+        form builds the chain of eq. (3) and keeps the products of its terms.
         """
-        position = self.tip(q, e, tool_mm, form) - self.tip(q, None, tool_mm)
-        actual = self._work_R_tool(q, e, form)
-        nominal = self._work_R_tool(q, None, "exact")
-        return Deviation(position, rotation_vector(actual @ np.swapaxes(nominal, -1, -2)))
+        tip, turned = self.pose(q, e, tool_mm, form)
+        nominal_tip, nominal = self.pose(q, None, tool_mm)
+        return Deviation(tip - nominal_tip, rotation_vector(turned @ np.swapaxes(nominal, -1, -2)))
 
     def seed_error(self, q: Array, e: Array, tool_mm: Array | None = None, form: Form = "small-angle") -> Array:
         """Return E(t) = T_w P - T_t D of eq. (8) and (12), in the bed frame, shape (n, 3) [mm]."""
@@ -97,79 +125,90 @@ class Chain:
         -------
         array of shape (n, 6, K), rows x, y, z [mm] and the rotation vector [rad]
         """
-        frames = self._bed_T_bodies(q, None, "exact")
-        tip = apply(frames[self._tool], self._tip_in_tool(tool_mm))
-        work_R_bed = np.swapaxes(frames[self._workpiece][:, :3, :3], -1, -2)
+        frames, work_R_bed, tip = self._ideal(q, tool_mm)
         result = np.zeros((len(q), 6, len(self.machine.terms)))
-        for index, body in enumerate(self.machine.bodies):
-            for slots, frame in (
-                (self._columns[index][0], frames[index]),
-                (self._columns[index][1], self._location_frame(index, frames, q)),
-            ):
+        for index in self._order:
+            motion, location = self._columns[index]
+            for slots, frame in ((motion, frames[index]), (location, self._location_frame(index, frames))):
                 if slots is None:
                     continue
-                turn = body.side * work_R_bed @ frame[:, :3, :3]
+                turned = self._sign[index] * work_R_bed @ frame[:, :3, :3]
                 lever = apply_inverse(frame, tip)
-                result[:, :3, slots] = np.concatenate([turn, -turn @ skew(lever)], axis=-1)
-                result[:, 3:, slots.start + 3 : slots.stop] = turn
+                result[:, :3, slots] = np.concatenate([turned, -turned @ skew(lever)], axis=-1)
+                result[:, 3:, slots.start + 3 : slots.stop] = turned
         return result
 
-    def tip_jacobian(self, q: Array) -> Array:
-        """Return d(ideal tip)/dq in the workpiece frame, shape (n, 3, A)."""
+    def jacobian(self, q: Array, tool_mm: Array | None = None) -> Array:
+        """Return how the ideal tool moves with the axes, in the workpiece frame.
+
+        Returns
+        -------
+        array of shape (n, 6, A), rows x, y, z [mm] and the rotation vector [rad], per mm or degree
+        """
+        frames, work_R_bed, tip = self._ideal(q, tool_mm)
+        result = np.zeros((len(q), 6, len(self.machine.axis_names)))
+        for index in self._order:
+            axis = self._axis.get(index)
+            if axis is None:
+                continue
+            column = self.machine.axis_names.index(axis.name)
+            base = frames[self.machine.bodies[index].lower] @ self._origin(index)
+            along = self._sign[index] * (work_R_bed @ base[:, :3, :3]) @ np.asarray(axis.direction)  # (n, 3)
+            if axis.rotary:
+                lever = (work_R_bed @ (tip - base[:, :3, 3])[..., None])[..., 0]
+                result[:, :3, column] = np.cross(along, lever) * axis.to_internal
+                result[:, 3:, column] = along * axis.to_internal
+            else:
+                result[:, :3, column] = along
+        return result
+
+    def _ideal(self, q: Array, tool_mm: Array | None) -> tuple[dict[int, Array], Array, Array]:
+        """Return the ideal frames, `work_R_bed`, and the tip in the bed frame."""
         frames = self._bed_T_bodies(q, None, "exact")
         work_R_bed = np.swapaxes(frames[self._workpiece][:, :3, :3], -1, -2)
-        result = np.zeros((len(q), 3, len(self.machine.axis_names)))
-        for body in self.machine.bodies:
-            if body.axis is None:
-                continue
-            moves = frames[body.lower][:, :3, :3] @ np.asarray(self.machine.axes[body.axis].direction)
-            column = self.machine.axis_names.index(body.axis)
-            result[:, :, column] = body.side * (work_R_bed @ moves[..., None])[..., 0]
-        return result
+        return frames, work_R_bed, apply(frames[self._tool], self._tip_in_tool(tool_mm))
 
-    def _bed_T_bodies(self, q: Array, e: Array | None, form: Form) -> list[Array]:
-        """Return bed_T_body of each body, eq. (7), each of shape (n, 4, 4)."""
+    def _bed_T_bodies(self, q: Array, e: Array | None, form: Form) -> dict[int, Array]:
+        """Return bed_T_body of each body on the way, eq. (7), each of shape (n, 4, 4)."""
         n = len(q)
+        internal = q * self._to_internal
         if e is not None:
             e = np.broadcast_to(e, (n, len(self.machine.terms)))
         error = exact_error if form == "exact" else small_angle_error
-        frames = [np.broadcast_to(np.eye(4), (n, 4, 4))]
-        for index, body in enumerate(self.machine.bodies[1:], start=1):
+        frames = {0: np.broadcast_to(np.eye(4), (n, 4, 4))}
+        for index in self._order:
+            if index == 0:
+                continue
             motion, location = self._columns[index]
-            parts = [self._origin(index), self._motion(index, q)]
+            parts = [self._origin(index), self._motion(index, internal)]
             if e is not None and location is not None:
                 # eq. (6) puts the location error behind the motion; an ISO squareness turns the motion.
                 parts.insert(1 if self.machine.composition == "motion-last" else 2, error(e[:, location]))
             if e is not None and motion is not None:
                 parts.append(error(e[:, motion]))
-            frame = frames[body.lower]
+            frame = frames[self.machine.bodies[index].lower]
             for part in parts:
                 frame = frame @ part
-            frames.append(frame)
+            frames[index] = frame
         return frames
 
-    def _location_frame(self, index: int, frames: list[Array], q: Array) -> Array:
+    def _location_frame(self, index: int, frames: dict[int, Array]) -> Array:
         """Return the ideal frame in which the body's location error acts."""
-        if self.machine.composition == "seed" or index == 0:
+        if index == 0 or self.machine.composition == "seed":
             return frames[index]
-        return frames[self.machine.bodies[index].lower] @ np.broadcast_to(self._origin(index), (len(q), 4, 4))
+        return frames[self.machine.bodies[index].lower] @ self._origin(index)
 
     def _origin(self, index: int) -> Array:
-        axis = self.machine.bodies[index].axis
-        return np.eye(4) if axis is None else translation(np.asarray(self.machine.axes[axis].origin_mm))
+        axis = self._axis.get(index)
+        return np.eye(4) if axis is None else translation(np.asarray(axis.origin_mm))
 
-    def _motion(self, index: int, q: Array) -> Array:
-        axis = self.machine.bodies[index].axis
+    def _motion(self, index: int, internal: Array) -> Array:
+        axis = self._axis.get(index)
         if axis is None:
             return np.eye(4)
-        coordinate = q[:, self.machine.axis_names.index(axis)]
-        return translation(coordinate[:, None] * np.asarray(self.machine.axes[axis].direction))
-
-    def _work_R_tool(self, q: Array, e: Array | None, form: Form) -> Array:
-        frames = self._bed_T_bodies(q, e, form)
-        return np.asarray(
-            np.linalg.solve(frames[self._workpiece][:, :3, :3], frames[self._tool][:, :3, :3]), dtype=float
-        )
+        coordinate = internal[:, self.machine.axis_names.index(axis.name)]
+        direction = np.asarray(axis.direction)
+        return turn(coordinate, direction) if axis.rotary else translation(coordinate[:, None] * direction)
 
     def _tip_in_tool(self, tool_mm: Array | None) -> Array:
         return np.asarray(self.machine.tool.offset_mm if tool_mm is None else tool_mm, dtype=float)
@@ -178,7 +217,3 @@ class Chain:
         """Return where the six terms of that kind of a body stand in `e`."""
         columns = [k for k, t in enumerate(self.machine.terms) if t.body == body and t.kind == kind]
         return slice(columns[0], columns[0] + len(DIRECTIONS)) if columns else None
-
-    def _leaf(self, side: int) -> int:
-        """Return the body that carries the workpiece (-1) or the tool (+1); the bed, where no axis does."""
-        return max((i for i, b in enumerate(self.machine.bodies) if b.side == side), default=0)

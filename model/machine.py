@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from model.exceptions import MachineError
-from model.structure import LINEAR_AXES, ROTARY_AXES, Body, parse_structure
+from model.structure import AXES, ROTARY_AXES, Body, BodyEntry, Layout, lay_out, parse_structure
 from model.terms import Term, canonical_name, location_terms, motion_terms
 from model.validation import Strict, check, did_you_mean
 
@@ -27,8 +27,11 @@ UNIT_VECTORS: dict[str, Triple] = {
     "U": (1.0, 0.0, 0.0),
     "V": (0.0, 1.0, 0.0),
     "W": (0.0, 0.0, 1.0),
+    "A": (1.0, 0.0, 0.0),
+    "B": (0.0, 1.0, 0.0),
+    "C": (0.0, 0.0, 1.0),
 }
-"""Direction of each linear axis (ISO 841)."""
+"""Direction of each linear axis, and the line that each rotary axis turns about (ISO 841)."""
 
 
 class Sensor(Strict):
@@ -81,9 +84,17 @@ class _AxisFile(Strict):
     direction: Triple | None = None
 
 
+class _BodyFile(Strict):
+    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,31}$")]
+    lower: str | None = None
+    axis: str | None = None
+
+
 class _MachineFile(Strict):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
-    structure: str
+    structure: str | None = None
+    workpiece_axes: Annotated[int, Field(ge=0)] | None = None
+    bodies: list[_BodyFile] | None = None
     composition: Literal["motion-last", "seed"] = "motion-last"
     reference_temperature_degC: Annotated[float, Field(ge=-20, le=60)] = 20.0
     axes: dict[str, _AxisFile]
@@ -99,10 +110,12 @@ class Axis:
 
     Attributes
     ----------
-    low, high : range of its coordinate [mm]
-    origin_mm : its body's origin in the lower body's frame at coordinate 0 (a_ij)
-    direction : in which its body moves when the coordinate grows, in the lower body's frame (ISO 841: +X moves
-        the tool in +X relative to the workpiece, so a table on the workpiece side moves in -X)
+    low, high : range of its coordinate [mm, degree]
+    origin_mm : its body's origin in the lower body's frame at coordinate 0 (a_ij); a rotary axis turns about a line
+        through it
+    direction : in which its body moves, or about which it turns by the right-hand rule, when the coordinate grows,
+        in the lower body's frame (ISO 841: +X moves the tool in +X relative to the workpiece, so a table on the
+        workpiece side moves in -X)
     """
 
     name: str
@@ -110,6 +123,21 @@ class Axis:
     high: float
     origin_mm: Triple
     direction: Triple
+
+    @property
+    def rotary(self) -> bool:
+        """Whether it turns."""
+        return self.name in ROTARY_AXES
+
+    @property
+    def unit(self) -> str:
+        """Unit of its coordinate, for people."""
+        return "degree" if self.rotary else "mm"
+
+    @property
+    def to_internal(self) -> float:
+        """Factor from its coordinate to mm or rad."""
+        return math.pi / 180.0 if self.rotary else 1.0
 
 
 @dataclass(frozen=True)
@@ -119,7 +147,7 @@ class Machine:
     Attributes
     ----------
     source : the TOML text that it was read from
-    bodies : in the order of the lower-body array, bed first
+    layout : the bodies, in the order of the lower-body array, and what they carry
     terms : the K error terms; this order is the order of every array of error terms
     """
 
@@ -127,17 +155,27 @@ class Machine:
     source: str = field(repr=False)
     composition: Literal["motion-last", "seed"]
     reference_temperature_degC: float
-    bodies: tuple[Body, ...]
+    layout: Layout
     axes: dict[str, Axis]
     tool: Tool
     workpiece: Workpiece
     sensors: dict[str, Sensor]
     limits: Limits
 
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """The bodies, bed first."""
+        return self.layout.bodies
+
+    @property
+    def tool_names(self) -> tuple[str, ...]:
+        """Names of the tool leaves; "tool", where there is one."""
+        return tuple(self.layout.tools)
+
     @cached_property
     def axis_names(self) -> tuple[str, ...]:
         """Axes in the order of every array of coordinates."""
-        return tuple(a for a in (*LINEAR_AXES, *ROTARY_AXES) if a in self.axes)
+        return tuple(a for a in AXES if a in self.axes)
 
     @cached_property
     def terms(self) -> tuple[Term, ...]:
@@ -146,8 +184,8 @@ class Machine:
         for index, body in enumerate(self.bodies):
             if body.axis is not None:
                 terms += motion_terms(body.axis, index) + location_terms(body.axis, index)
-            elif index:
-                terms += location_terms(body.name[0].upper(), index)
+            elif body.suffix is not None:
+                terms += location_terms(body.suffix, index)
         return tuple(terms)
 
     @cached_property
@@ -226,16 +264,12 @@ def parse_machine(text: str, where: str = "machine description") -> Machine:
     except tomllib.TOMLDecodeError as problem:
         raise MachineError(f"{where} is not TOML: {problem}") from None
     file = check(_MachineFile, data, where, MachineError)
-    try:
-        bodies = parse_structure(file.structure, tool_body=file.tool.errors, workpiece_body=file.workpiece.errors)
-    except MachineError as problem:
-        raise MachineError(f"key 'structure' in {where}: {problem}") from None
-    moving = {body.axis: body for body in bodies if body.axis is not None}
+    layout = _layout(file, where)
+    moving = {body.axis: body for body in layout.bodies if body.axis is not None}
     for name in file.axes:
         if name not in moving:
             raise MachineError(
-                f"key 'axes.{name}' in {where}: the structure '{file.structure}' has no axis '{name}'"
-                + did_you_mean(name, list(moving))
+                f"key 'axes.{name}' in {where}: the structure has no axis '{name}'" + did_you_mean(name, list(moving))
             )
     axes: dict[str, Axis] = {}
     for name, body in moving.items():
@@ -252,7 +286,7 @@ def parse_machine(text: str, where: str = "machine description") -> Machine:
         source=text,
         composition=file.composition,
         reference_temperature_degC=file.reference_temperature_degC,
-        bodies=bodies,
+        layout=layout,
         axes=axes,
         tool=file.tool,
         workpiece=file.workpiece,
@@ -261,14 +295,32 @@ def parse_machine(text: str, where: str = "machine description") -> Machine:
     )
 
 
+def _layout(file: _MachineFile, where: str) -> Layout:
+    errors = {"tool_errors": file.tool.errors, "workpiece_errors": file.workpiece.errors}
+    if (file.structure is None) == (file.bodies is None):
+        came = "neither" if file.structure is None else "both"
+        raise MachineError(f"{where} must have either 'structure' or [[bodies]], got {came}")
+    if file.structure is not None:
+        try:
+            return parse_structure(file.structure, workpiece_axes=file.workpiece_axes, **errors)
+        except MachineError as problem:
+            raise MachineError(f"key 'structure' in {where}: {problem}") from None
+    try:
+        return lay_out([BodyEntry(b.name, b.lower, b.axis) for b in file.bodies or []], **errors)
+    except MachineError as problem:
+        raise MachineError(f"key 'bodies' in {where}: {problem}") from None
+
+
 def _axis(name: str, file: _AxisFile, side: int, where: str) -> Axis:
     low, high = file.range
     if not low < high:
         raise MachineError(
-            f"key 'axes.{name}.range' in {where} must rise, got [{low:g}, {high:g}]; write [lower, upper] in mm"
+            f"key 'axes.{name}.range' in {where} must rise, got [{low:g}, {high:g}]; write [lower, upper] in "
+            f"{'degree' if name in ROTARY_AXES else 'mm'}"
         )
     x, y, z = UNIT_VECTORS[name]
-    direction = file.direction or (side * x, side * y, side * z)
+    along = side or 1  # what carries both tool and workpiece has no side; it moves as it is written
+    direction = file.direction or (along * x, along * y, along * z)
     _check_unit(direction, f"axes.{name}.direction", where)
     return Axis(name, low, high, file.origin_mm, direction)
 

@@ -42,7 +42,7 @@ def check_positions(q: Array, machine: Machine, where: str) -> Array:
         if wrong.any():
             row = int(np.argmax(wrong))
             raise DataError(
-                f"axis '{name}' must lie within {axis.low:g} and {axis.high:g} mm, got {q[row, column]:g} "
+                f"axis '{name}' must lie within {axis.low:g} and {axis.high:g} {axis.unit}, got {q[row, column]:g} "
                 f"in row {row + 1} of '{where}'"
             )
     return q

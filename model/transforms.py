@@ -76,6 +76,17 @@ def translation(offset: Array) -> Array:
     return _assemble(np.broadcast_to(np.eye(3), (*offset.shape[:-1], 3, 3)), offset)
 
 
+def turn(angle: Array, direction: Array) -> Array:
+    """Return the rotation by `angle` (n,) [rad] about the unit vector `direction` (3,), shape (n, 4, 4).
+
+    Rodrigues' formula.
+    """
+    cross = skew(direction)
+    sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+    rotated = np.eye(3) + sine * cross + (1.0 - cosine) * (cross @ cross)
+    return _assemble(rotated, np.zeros((len(angle), 3)))
+
+
 def apply(b_T_a: Array, point: Array) -> Array:
     """Return the point (..., 3), given in frame a, in frame b."""
     moved: Array = (b_T_a[..., :3, :3] @ point[..., None])[..., 0] + b_T_a[..., :3, 3]

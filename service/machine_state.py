@@ -97,7 +97,8 @@ class MachineState:
     Raises
     ------
     BundleError
-        where the network cannot be loaded, or the geometric error terms are not those of a machine.
+        where the network cannot be loaded, the geometric error terms are not those of a machine, or the machine is
+        one whose rate of correction cannot be bounded yet.
     """
 
     def __init__(self, bundle: Bundle, settings: Settings, clock: Callable[[], float]) -> None:
@@ -105,6 +106,7 @@ class MachineState:
         self.machine = bundle.machine
         self.settings = settings
         self.clock = clock
+        _check_servable(bundle)
         self.chain = Chain(bundle.machine)
         if not is_usable(bundle.geometry):
             raise BundleError(f"bundle '{bundle.path}': geometry.csv has a term beyond a metre or {LARGEST_TERM:g} rad")
@@ -227,3 +229,14 @@ class MachineState:
         if status != self._status:
             log.info("status changed", extra={"machine": self.machine.name, "status": status.value})
             self._status = status
+
+
+def _check_servable(bundle: Bundle) -> None:
+    machine = bundle.machine
+    rotary = [a for a in machine.axis_names if machine.axes[a].rotary]
+    if rotary or len(machine.tool_names) > 1:
+        what = f"rotary axes {', '.join(rotary)}" if rotary else f"the tools {', '.join(machine.tool_names)}"
+        raise BundleError(
+            f"bundle '{bundle.path}': a machine to serve must have linear axes and one tool, got {what}; "
+            "`thermotrue compensate` takes it"
+        )

@@ -91,5 +91,5 @@ def _gain(chain: Chain, tool_mm: Array | None) -> Array:
     ends = [(machine.axes[a].low, machine.axes[a].high) for a in machine.axis_names]
     corners = np.array(list(itertools.product(*ends)))
     sensitivity = chain.sensitivity(corners, tool_mm)[:, :3, :]
-    gain = np.linalg.solve(chain.tip_jacobian(corners), sensitivity)
+    gain = np.linalg.solve(chain.jacobian(corners, tool_mm)[:, :3], sensitivity)
     return np.asarray(np.abs(gain).max(axis=0), dtype=float)

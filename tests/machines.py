@@ -10,6 +10,29 @@ ARRANGEMENTS = [
 """All 24 arrangements of three linear axes."""
 
 
+FIVE_AXIS = [
+    "w C A Y X b Z t",  # trunnion table
+    "w C B b X Y Z t",
+    "w A Y b X Z C t",  # table and head
+    "w X Y b Z C A t",  # two-axis head
+    "w Y X b Z B C t",
+    "w C b X Y Z B t",
+    "w B Z X b Y A t",
+]
+
+
+def five_axis_text(structure: str, composition: str = "motion-last") -> str:
+    """Return a machine with the two rotary axes of the structure, their pivots apart."""
+    rotary = [a for a in "ABC" if a in structure]
+    axes = "".join(
+        f"[axes.{a}]\nrange = [{low}, {high}]\norigin_mm = [{x}, {y}, {z}]\n"
+        for a, low, high, x, y, z in zip(
+            rotary, (-110.0, -360.0), (110.0, 360.0), (20.0, -15.0), (-30.0, 8.0), (50.0, 120.0), strict=True
+        )
+    )
+    return machine_text(structure, composition).replace("[tool]", f"{axes}[tool]")
+
+
 def machine_text(
     structure: str = "w X Y b Z t", composition: str = "motion-last", *, errors: bool = True, extra: str = ""
 ) -> str:

@@ -5,14 +5,17 @@ from pathlib import Path
 import pytest
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
+from machines import five_axis_text
 from service_client import MIDDLE, NOON, TINY, TINY_URL, assert_problem, sample, serving
 
 from model.bundle import Bundle, load_bundle, write_bundle
 from model.error_map import ErrorMap
 from model.exceptions import BundleError, InputError
+from model.machine import parse_machine
 from service import docs
 from service.app import create_app
 from service.logs import JsonLines
+from service.machine_state import MachineState
 from service.settings import Settings, read_settings
 from service.timestamps import format_time, parse_time
 
@@ -62,6 +65,12 @@ def test_a_bundle_without_a_network_is_served_as_a_geometric_machine(cold: Bundl
 def test_a_network_that_cannot_be_loaded_is_named() -> None:
     with pytest.raises(BundleError, match=r"bundle '.*tiny_bundle': network.onnx cannot be loaded: "):
         create_app([replace(load_bundle(TINY), network=b"not a network")], Settings())
+
+
+def test_machines_whose_rate_cannot_be_bounded_yet_are_refused(tmp_path: Path) -> None:
+    bundle = write_bundle(tmp_path / "five", parse_machine(five_axis_text("w C A Y X b Z t")))
+    with pytest.raises(BundleError, match=r"bundle '.*': a machine to serve must have linear .*, got rotary axes A, C"):
+        MachineState(bundle, Settings(), lambda: NOON)
 
 
 def test_geometry_of_no_machine_is_refused(cold: Bundle) -> None:

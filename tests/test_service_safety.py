@@ -191,7 +191,7 @@ def test_the_reach_bounds_the_first_order_correction_everywhere(structure: str) 
     q = rng.uniform(low, high, (40, 3))
     for length in (80.0, 300.0, rng.uniform(80.0, 300.0), None):
         tool_mm = None if length is None else length * np.asarray(machine.tool.direction)
-        gain = np.linalg.solve(chain.tip_jacobian(q), chain.sensitivity(q, tool_mm)[:, :3])
+        gain = np.linalg.solve(chain.jacobian(q, tool_mm)[:, :3], chain.sensitivity(q, tool_mm)[:, :3])
         assert (np.abs(gain) <= reach.gain * (1 + 1e-12) + 1e-12).all()
 
 
