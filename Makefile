@@ -12,7 +12,7 @@ help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/'
 
 run: $(SERVE_VENV)/.installed  ## serve the demo machine on http://127.0.0.1:8000
-	@$(SERVE_VENV)/bin/thermotrue serve demo/vmc3 --host $(HOST) --port $(PORT)
+	@$(SERVE_VENV)/bin/thermotrue serve demo/vmc3 --replay --host $(HOST) --port $(PORT)
 
 warm: $(SERVE_VENV)/.installed  ## post an hour of telemetry to the running demo and watch the correction follow
 	@$(SERVE_VENV)/bin/python demo/warm_up.py --port $(PORT)

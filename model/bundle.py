@@ -172,6 +172,9 @@ def _check_network(record: NetworkRecord, machine: Machine, where: str) -> None:
             raise BundleError(f"{where}: the network needs sensor '{sensor}', which {MACHINE} does not have")
         if sensor not in record.valid_range_degC:
             raise BundleError(f"{where}: {MANIFEST} has no valid temperature range for sensor '{sensor}'")
+    for channel in record.channels:
+        if channel not in record.valid_range_channels:
+            raise BundleError(f"{where}: {MANIFEST} has no range of values for channel '{channel}'")
     for name in record.terms:
         machine.term(name)
     count = len(record.sensors)

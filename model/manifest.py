@@ -24,6 +24,7 @@ class NetworkRecord(Strict):
     datum : "absolute" (zero at the reference temperature) or "run-start" (only changes have a meaning)
     settling_time_s : how long telemetry must have run until the unknown state at its start hardly matters
     valid_range_degC : per sensor, the temperatures seen in training
+    valid_range_channels : per channel, the values seen in training
     sensor_mean_degC, sensor_covariance_K2 : for estimating a sensor from the others
     opset, exporter : how the ONNX file was made
     """
@@ -37,6 +38,7 @@ class NetworkRecord(Strict):
     datum: Literal["absolute", "run-start"]
     settling_time_s: Annotated[float, Field(ge=0)]
     valid_range_degC: dict[str, tuple[float, float]]
+    valid_range_channels: dict[str, tuple[float, float]]
     sensor_mean_degC: list[float]
     sensor_covariance_K2: list[list[float]]
     opset: int

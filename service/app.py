@@ -21,12 +21,18 @@ from service.settings import Settings
 log = logging.getLogger(__name__)
 
 
-def create_app(bundles: Sequence[Bundle], settings: Settings, clock: Callable[[], float] = time.time) -> FastAPI:
+def create_app(
+    bundles: Sequence[Bundle],
+    settings: Settings,
+    clock: Callable[[], float] = time.time,
+    steady: Callable[[], float] = time.monotonic,
+) -> FastAPI:
     """Return the app that serves these bundles; it is ready once it has started.
 
     Parameters
     ----------
-    clock : epoch seconds, for requests that give no time
+    clock : epoch seconds
+    steady : seconds that never jump, for the rate limit
 
     Raises
     ------
@@ -34,7 +40,7 @@ def create_app(bundles: Sequence[Bundle], settings: Settings, clock: Callable[[]
         where two bundles are of the same machine, or a bundle's network cannot be loaded.
     """
     _check_names(bundles)
-    states = {bundle.machine.name: MachineState(bundle, settings, clock) for bundle in bundles}
+    states = {bundle.machine.name: MachineState(bundle, settings, clock, steady) for bundle in bundles}
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 @click.option("--port", type=int, help="Port to listen on; 0 takes a free one.  [default: 8000]")
 @click.option("--allow-remote", is_flag=True, default=None, help="Listen beyond this computer; there are no keys yet.")
 @click.option("--stale-after", "stale_after_s", type=float, help="Age from which telemetry is stale [s].")
+@click.option("--replay", is_flag=True, default=None, help="Times in requests are the clock: for simulations only.")
 @click.option("--access-log", is_flag=True, default=None, help="Log every request.")
 @click.option("--log-level", help="debug, info, warning or error.  [default: info]")
 def serve(bundles: tuple[Path, ...], **options: Any) -> None:
@@ -52,10 +53,10 @@ def serve(bundles: tuple[Path, ...], **options: Any) -> None:
         app = create_app(loaded, settings)
         configure(settings.log_level, access=settings.access_log)
         at = address(listener)
-        run(app, listener, settings, ready=lambda: click.echo(greeting(loaded, at)))
+        run(app, listener, settings, ready=lambda: click.echo(greeting(loaded, at, replay=settings.replay)))
 
 
-def greeting(bundles: list[Bundle], address: str) -> str:
+def greeting(bundles: list[Bundle], address: str, *, replay: bool = False) -> str:
     """Return what is printed once the service answers: the machines, a call to paste, the documentation."""
     import json
 
@@ -77,4 +78,6 @@ def greeting(bundles: list[Bundle], address: str) -> str:
         f"  curl -s {compensate} -H 'content-type: application/json' -d '{body}'",
         f"all calls: {address}/docs",
     ]
+    if replay:
+        lines.insert(0, "replay: the times in requests are the clock; not for a real machine")
     return "\n".join(lines)

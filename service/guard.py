@@ -2,7 +2,8 @@
 
 A reading is implausible where it is missing, outside the sensor's range, or further from the last good reading
 than the sensor's greatest rate allows. The allowed change grows with the time since that reading, so after a gap a
-large change is believed. A reading that jumped and then stays at its new level is believed after `CONFIRM_S`.
+large change is believed. A first reading is compared with the other sensors instead. A reading that jumped and then
+stays at its new level is believed after `CONFIRM_S`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from model.machine import Sensor
+from model.sensors import SensorModel
 from model.transforms import Array
+from service.first_reading import doubtful
 
 NOISE_K = 1.0
 """Change that is always allowed [K]: noise and resolution, which do not shrink with the sampling interval. Chosen:
@@ -33,6 +36,7 @@ class Track:
     good_degC, good_s : its last plausible reading and when it was
     level_degC, level_s : the last reading at a level it jumped to, None while it is plausible
     level_since_s : when it jumped there
+    suggested : whether the last plausible reading is what the other sensors suggest, since there was none yet
     """
 
     good_degC: float
@@ -40,6 +44,7 @@ class Track:
     level_degC: float | None = None
     level_s: float = 0.0
     level_since_s: float = 0.0
+    suggested: bool = False
 
 
 @dataclass(frozen=True)
@@ -63,8 +68,24 @@ def judge(
     tracks: Mapping[str, Track],
     time_s: float,
     temperatures: Mapping[str, float | None],
+    sensor_model: SensorModel,
 ) -> Judgement:
     """Check one sample of all `sensors`; a sensor without a reading is missing, other temperatures are ignored."""
+    first = _judge(sensors, tracks, time_s, temperatures)
+    doubts = doubtful(sensor_model, first.readings, np.array([name not in tracks for name in sensors]))
+    if not doubts:
+        return first
+    names = list(sensors)
+    suggested = {names[i]: Track(degC, time_s, suggested=True) for i, degC in doubts.items()}
+    return _judge(sensors, {**tracks, **suggested}, time_s, temperatures)
+
+
+def _judge(
+    sensors: Mapping[str, Sensor],
+    tracks: Mapping[str, Track],
+    time_s: float,
+    temperatures: Mapping[str, float | None],
+) -> Judgement:
     readings = np.full(len(sensors), np.nan)
     faults: dict[str, str] = {}
     remembered = dict(tracks)
@@ -93,7 +114,9 @@ def _judge_reading(
     if track is None or _reachable(sensor, track.good_degC, track.good_s, reading, time_s):
         return good, None
     fault = (
-        f"jumped by {reading - track.good_degC:+.1f} K in {time_s - track.good_s:.0f} s, "
+        f"reads {reading:g} °C, where the other sensors suggest {track.good_degC:.1f} °C"
+        if track.suggested
+        else f"jumped by {reading - track.good_degC:+.1f} K in {time_s - track.good_s:.0f} s, "
         f"faster than {sensor.max_rate_degC_per_min:g} K/min"
     )
     if track.level_degC is None or not _reachable(sensor, track.level_degC, track.level_s, reading, time_s):

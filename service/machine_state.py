@@ -93,6 +93,7 @@ class MachineState:
     bundle : a verified bundle
     settings : when telemetry is stale
     clock : the service's clock, epoch seconds
+    steady : seconds that never jump, for the rate limit
 
     Raises
     ------
@@ -101,11 +102,13 @@ class MachineState:
         one whose rate of correction cannot be bounded yet.
     """
 
-    def __init__(self, bundle: Bundle, settings: Settings, clock: Callable[[], float]) -> None:
+    def __init__(
+        self, bundle: Bundle, settings: Settings, clock: Callable[[], float], steady: Callable[[], float]
+    ) -> None:
         self.bundle = bundle
         self.machine = bundle.machine
         self.settings = settings
-        self.clock = clock
+        self.clock, self.steady = clock, steady
         _check_servable(bundle)
         self.chain = Chain(bundle.machine)
         if not is_usable(bundle.geometry):
@@ -119,7 +122,12 @@ class MachineState:
         self._status = Status.OK
 
     def now(self, time_s: float | None = None) -> float:
-        """Return the machine's clock: the time given, or else the service's, and never before the last served."""
+        """Return the machine's clock: the service's, since clients' clocks are often wrong.
+
+        In replay it is the time given, and never before the last served.
+        """
+        if not self.settings.replay:
+            return self.clock()
         now_s = self.clock() if time_s is None else time_s
         return now_s if self.served is None else max(now_s, self.served.time_s)
 
@@ -142,7 +150,7 @@ class MachineState:
                 continue
             accepted += 1
             found = {f"sensor '{n}'": f"{why}; replaced by its estimate" for n, why in self.thermal.faults.items()}
-            found |= {f"channel '{n}'": "has no value; its last one is held" for n in self.thermal.held}
+            found |= {f"channel '{n}'": why for n, why in self.thermal.held.items()}
             faults.update(found.keys())
             reasons |= found
         warnings = [f"{n} {reasons[n]}" + (f" ({c} samples)" if c > 1 else "") for n, c in faults.items()]
@@ -174,7 +182,8 @@ class MachineState:
         if tool_length_mm is not None:
             tool_mm = tool_length_mm * np.asarray(self.machine.tool.direction)
         self._reach = self._reach.including(tool_length_mm)
-        served = advance(self.served, outlook.target, now_s, limits, self._reach)
+        passes_s = now_s if self.settings.replay else self.steady()
+        served = advance(self.served, outlook.target, passes_s, limits, self._reach)
         solved = compensate(self.chain, q, served.errors, tool_mm).corrected
         correction, clipped = clip(solved - q, limits)
         target = outlook.target.errors if outlook.target.usable else served.errors
@@ -186,7 +195,7 @@ class MachineState:
         self._tell(most_serious(conditions))
         limited = clipped | (not served.arrived)
         return Correction(
-            Outlook(served.time_s, outlook.target, conditions), q + correction, correction, deviation, limited
+            Outlook(self.now(now_s), outlook.target, conditions), q + correction, correction, deviation, limited
         )
 
     def evaluate(self, outlook: Outlook, q: Array) -> tuple[Array, Array]:

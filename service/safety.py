@@ -42,7 +42,7 @@ class Served:
     Attributes
     ----------
     errors : the map
-    time_s : of the machine's clock when it was last served; never goes back
+    time_s : when it was last served, on the clock that the rate limit goes by; never goes back
     remaining_um : bound of how far any correction is from that of the target
     held : whether the target could not be used and the last served map stays
     """
@@ -97,7 +97,7 @@ def advance(served: Served | None, target: Target, now_s: float, limits: Limits,
     ----------
     served : what was served last, None before the first time
     target : the error map wanted
-    now_s : the machine's clock [s]; a time before the last counts as the last
+    now_s : on a steady clock [s]; a time before the last counts as the last
     reach : for all tools in use
     """
     if served is None:

@@ -23,6 +23,8 @@ class Settings(BaseSettings):
     allow_remote : listen beyond loopback
     stale_after_s : age of the newest telemetry from which the thermal part fades [s]
     stale_fade_s : how long it then takes to be gone [s]
+    replay : let the times in requests be the clock, for simulations and demonstrations; never on a real machine,
+        since then a wrong time in a request moves the rate limit and the age of telemetry
     access_log : one line for every request
     log_level : the least serious events to log
     """
@@ -35,6 +37,7 @@ class Settings(BaseSettings):
     allow_remote: bool = False
     stale_after_s: Annotated[float, Field(gt=0)] = 600.0
     stale_fade_s: Annotated[float, Field(gt=0)] = 1800.0
+    replay: bool = False
     access_log: bool = False
     log_level: Literal["debug", "info", "warning", "error"] = "info"
 

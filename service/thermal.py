@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -14,14 +15,22 @@ from model.exceptions import ComputeError
 from model.machine import Machine
 from model.manifest import NetworkRecord
 from model.predictor import Predictor, ThermalState
+from model.transforms import Array
 from service.guard import Track, judge
 from service.reliability import beyond, freshness_weight, range_weight, replacement_weight
+from service.safety import is_usable
 from service.schemas import Sample
 from service.settings import Settings
 from service.status import Condition, Status
 from service.timestamps import format_time
 
 log = logging.getLogger(__name__)
+
+HOLD_S = 600.0
+"""How long a channel that is no longer given keeps its last value [s]: a few lost samples (chosen)."""
+PLAUSIBLE_CHANNEL = 2.0
+"""How many times its largest value in training a channel may be (chosen: a faster spindle than any seen, but not a
+value in other units)."""
 
 DatumKind = Literal["absolute", "run-start", "set"]
 
@@ -51,9 +60,10 @@ class Thermal:
         self.state: ThermalState | None = None
         self.tracks: Mapping[str, Track] = {}
         self.faults: Mapping[str, str] = {}
-        self.held: tuple[str, ...] = ()
+        self.held: Mapping[str, str] = {}
         self.failure: str | None = None
         self._channels = np.zeros(len(predictor.channels))
+        self._heard_s: dict[str, float] = {}
         self._run_start = Zero("run-start" if record.datum == "run-start" else "absolute")
         self.zero = self._run_start
         self._absolute: ErrorMap | None = None
@@ -67,12 +77,10 @@ class Thermal:
         """
         if self.state is not None and sample.time <= self.state.time_s:
             return False
-        verdict = judge(self.sensors, self.tracks, sample.time, sample.temperatures)
+        verdict = judge(self.sensors, self.tracks, sample.time, sample.temperatures, self.predictor.sensor_model)
         self._tell(verdict.faults)
         self.tracks, self.faults = verdict.tracks, verdict.faults
-        self.held = tuple(c for c in self.predictor.channels if c not in sample.channels)
-        names = enumerate(self.predictor.channels)
-        channels = np.array([sample.channels.get(name, self._channels[i]) for i, name in names], dtype=float)
+        channels = self._heard(sample)
         readings = verdict.readings
         if self.state is None and self.replacement_weight() == 0.0:
             self.failure = f"{len(self.faults)} of {len(self.sensors)} sensors have no plausible reading to start from"
@@ -88,12 +96,38 @@ class Thermal:
             self.failure = str(problem)
             log.error("network failed", extra={"reason": self.failure})
             return False
+        if not is_usable(self.predictor.error_map(state)):
+            self.failure = "the error terms predicted from it are beyond any machine's"
+            log.error("prediction not usable", extra={"reason": self.failure})
+            return False
         first = self.state is None
         self.state, self.failure, self._channels = state, None, channels
         self._absolute = self._relative = None
         if first and self._run_start.kind == "run-start":
             self.zero = self._run_start = Zero("run-start", self._map(state), sample.time)
         return True
+
+    def _heard(self, sample: Sample) -> Array:
+        """Return the channels to use, shape (C,): a missing or implausible one keeps its last value for a while.
+
+        After `HOLD_S` it counts as zero, as one that was never given does: a spindle that is taken to run for hours
+        when it stands is far worse than one that is not heard of (bench/missing_channels.py).
+        """
+        channels = np.zeros(len(self.predictor.channels))
+        held: dict[str, str] = {}
+        for i, name in enumerate(self.predictor.channels):
+            value = sample.channels.get(name)
+            low, high = self.record.valid_range_channels[name]
+            most = PLAUSIBLE_CHANNEL * max(abs(low), abs(high))
+            if value is not None and abs(value) <= most:
+                channels[i], self._heard_s[name] = value, sample.time
+                continue
+            why = "has no value" if value is None else f"is {value:g}, beyond the plausible ±{most:g}"
+            if sample.time - self._heard_s.get(name, -math.inf) <= HOLD_S:
+                channels[i] = self._channels[i]
+            held[name] = f"{why}; taken as {channels[i]:g}"
+        self.held = held
+        return channels
 
     def error_map(self) -> ErrorMap | None:
         """Return the thermal part, relative to the datum; None before the first sample."""
@@ -179,11 +213,7 @@ class Thermal:
             Condition(Status.DEGRADED, f"sensor '{n}' {fault}; replaced by its estimate {values[n]:.1f} °C")
             for n, fault in self.faults.items()
         ]
-        channels = dict(zip(self.predictor.channels, self._channels, strict=True))
-        return conditions + [
-            Condition(Status.DEGRADED, f"channel '{name}' has no value; held at {channels[name]:g}")
-            for name in self.held
-        ]
+        return conditions + [Condition(Status.DEGRADED, f"channel '{name}' {why}") for name, why in self.held.items()]
 
     def _failed(self) -> list[Condition]:
         if self.failure is None:

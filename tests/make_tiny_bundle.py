@@ -72,6 +72,7 @@ def main() -> None:
         datum="absolute",
         settling_time_s=3600.0,
         valid_range_degC={"spindle": (15.0, 45.0), "column": (15.0, 35.0), "ambient": (15.0, 30.0)},
+        valid_range_channels={"spindle_rpm": (0.0, 10000.0)},
         sensor_mean_degC=[25.0, 22.0, 20.0],
         sensor_covariance_K2=[[25.0, 9.0, 2.0], [9.0, 4.0, 1.0], [2.0, 1.0, 1.0]],
         opset=OPSET,

@@ -19,6 +19,13 @@ def service() -> Iterator[Service]:
         yield running
 
 
+@pytest.fixture
+def replayed() -> Iterator[Service]:
+    """A service whose clock is the times in requests."""
+    with serving(replay=True) as running:
+        yield running
+
+
 def test_without_telemetry_only_the_geometric_errors_are_corrected(service: Service) -> None:
     reply = service.compensate()
     assert reply["status"] == "geometric_only"
@@ -47,16 +54,16 @@ def test_warmth_changes_the_correction_by_what_the_network_says(service: Service
     assert thermal["warnings"] == []
 
 
-def test_an_hour_of_telemetry_moves_the_correction_at_its_rate(service: Service) -> None:
-    before = correction_um(service.compensate())
-    service.telemetry(*(sample(NOON + 10.0 * i, 20.0 + 0.03 * i) for i in range(361)))
-    reply = service.compensate(time=NOON + 6.0)
+def test_an_hour_of_telemetry_moves_the_correction_at_its_rate(replayed: Service) -> None:
+    before = correction_um(replayed.compensate())
+    replayed.telemetry(*(sample(NOON + 10.0 * i, 20.0 + 0.03 * i) for i in range(361)))
+    reply = replayed.compensate(time=NOON + 6.0)
     moved = np.abs(correction_um(reply) - before).max()
     assert 0.0 < moved <= 6.0  # 60 µm/min for six seconds
     assert reply["points"][0]["limited"]
     assert any(w.startswith("the correction is up to ") for w in reply["warnings"])
-    service.clock[0] = NOON + HOUR
-    reply = service.compensate()
+    replayed.clock[0] = NOON + HOUR
+    reply = replayed.compensate()
     assert not reply["points"][0]["limited"]
     assert np.abs(correction_um(reply) - before).max() > 10.0
 
@@ -112,7 +119,7 @@ def test_temperatures_in_the_request_count_as_a_sample_first(service: Service) -
     assert state.state is not None
     assert state.state.time_s == NOON
     assert with_sample["status"] == "degraded"  # the channel was left out
-    assert with_sample["warnings"][0] == "channel 'spindle_rpm' has no value; held at 0"
+    assert with_sample["warnings"][0] == "channel 'spindle_rpm' has no value; taken as 0"
     again = service.compensate(time=NOON, temperatures=sample(0, 24.0)["temperatures"])
     assert again["warnings"][0].startswith("1 of 1 samples are no newer than the thermal state")
 
@@ -139,11 +146,11 @@ def test_the_tool_length_is_the_lever_of_a_tilt(tmp_path: Path) -> None:
     assert own == same  # the machine description's tool is 100 mm long
 
 
-def test_the_clock_does_not_go_back(service: Service) -> None:
-    assert service.compensate(time=NOON + 600.0)["time"] == "2027-01-15T08:10:00Z"
-    assert service.compensate(time=NOON)["time"] == "2027-01-15T08:10:00Z"
-    assert service.compensate()["time"] == "2027-01-15T08:10:00Z"
-    assert service.compensate(time="2027-01-15T09:11:00+01:00")["time"] == "2027-01-15T08:11:00Z"
+def test_the_clock_does_not_go_back(replayed: Service) -> None:
+    assert replayed.compensate(time=NOON + 600.0)["time"] == "2027-01-15T08:10:00Z"
+    assert replayed.compensate(time=NOON)["time"] == "2027-01-15T08:10:00Z"
+    assert replayed.compensate()["time"] == "2027-01-15T08:10:00Z"
+    assert replayed.compensate(time="2027-01-15T09:11:00+01:00")["time"] == "2027-01-15T08:11:00Z"
 
 
 def test_a_correction_beyond_the_absolute_limit_is_clipped_and_says_so(
@@ -186,9 +193,17 @@ def test_an_unusable_prediction_leaves_the_last_correction(service: Service, mon
     assert thermal is not None
     broken = ErrorMap.zero(service.state.machine)
     broken.location[0] = math.nan
-    monkeypatch.setattr(thermal.predictor, "error_map", lambda state: broken)
+    with monkeypatch.context() as patch:
+        patch.setattr(thermal.predictor, "error_map", lambda state: broken)
+        assert service.telemetry(sample(NOON + 30.0, 25.0))["ignored"] == 1
+        told = "the newest sample was not used: the error terms predicted from it are beyond any machine's"
+        reply = service.compensate()
+        assert (reply["status"], reply["warnings"]) == ("degraded", [told])
+        np.testing.assert_allclose(correction_um(reply), before, atol=1e-6)
     service.telemetry(sample(NOON + 60.0, 25.0))
+    monkeypatch.setattr(thermal, "error_map", lambda: broken)
     service.clock[0] += 60.0
+    before = correction_um(service.compensate())
     reply = service.compensate()
     np.testing.assert_array_equal(correction_um(reply), before)
     assert reply["status"] == "degraded"

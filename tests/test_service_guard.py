@@ -6,6 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from model.machine import Sensor
+from model.sensors import SensorModel
+from service.first_reading import doubtful
 from service.guard import CONFIRM_S, NOISE_K, Judgement, Track, judge
 
 SENSORS = {
@@ -13,9 +15,11 @@ SENSORS = {
     "bed": Sensor(range_degC=(0.0, 60.0), max_rate_degC_per_min=6.0),
 }
 
+MODEL = SensorModel(np.array([30.0, 22.0]), np.array([[60.0, 8.0], [8.0, 4.0]]))
+
 
 def after(tracks: dict[str, Track], time_s: float, spindle: float | None, bed: float | None = 20.0) -> Judgement:
-    return judge(SENSORS, tracks, time_s, {"spindle": spindle, "bed": bed})
+    return judge(SENSORS, tracks, time_s, {"spindle": spindle, "bed": bed}, MODEL)
 
 
 def test_plausible_readings_pass_unchanged() -> None:
@@ -35,7 +39,7 @@ def test_missing_and_impossible_readings_are_replaced_and_leave_the_track_alone(
 
 
 def test_a_sensor_left_out_is_missing() -> None:
-    assert judge(SENSORS, {}, 0.0, {"bed": 20.0}).faults == {"spindle": "has no reading"}
+    assert judge(SENSORS, {}, 0.0, {"bed": 20.0}, MODEL).faults == {"spindle": "has no reading"}
 
 
 def test_a_jump_is_replaced_until_the_time_since_the_last_good_reading_allows_it() -> None:
@@ -90,3 +94,44 @@ def test_what_passes_is_always_within_range_and_all_else_has_a_reason(
         assert np.isnan(verdict.readings[0]) == ("spindle" in verdict.faults)
         if "spindle" not in verdict.faults:
             assert -10.0 <= verdict.readings[0] <= 100.0
+
+
+TIGHT = SensorModel(np.array([25.0, 22.0, 21.0]), np.array([[9.0, 4.0, 2.0], [4.0, 4.0, 2.0], [2.0, 2.0, 2.0]]))
+
+
+def test_first_readings_that_agree_are_believed() -> None:
+    assert doubtful(TIGHT, np.array([28.0, 23.0, 22.0]), np.full(3, True)) == {}
+
+
+@given(st.integers(0, 2), st.sampled_from([-30.0, -18.0, 18.0, 40.0]))
+def test_one_wrong_first_reading_is_found_and_its_neighbours_are_not_blamed(wrong: int, by: float) -> None:
+    readings = np.array([25.0, 22.0, 21.0])
+    readings[wrong] += by
+    found = doubtful(TIGHT, readings, np.full(3, True))
+    assert list(found) == [wrong]
+    assert found[wrong] == pytest.approx([25.0, 22.0, 21.0][wrong], abs=1.0)
+
+
+def test_two_wrong_first_readings_are_both_found() -> None:
+    model = SensorModel(np.full(6, 22.0), 4.0 * np.ones((6, 6)) + 0.1 * np.eye(6))
+    assert set(doubtful(model, np.array([22.0, 60.0, 22.1, 51.0, 21.9, 22.0]), np.full(6, True))) == {1, 3}
+
+
+def test_readings_of_sensors_with_a_past_and_lone_ones_are_not_doubted_here() -> None:
+    readings = np.array([90.0, 22.0, 21.0])
+    assert doubtful(TIGHT, readings, np.array([False, True, True])).get(0) is None
+    assert doubtful(TIGHT, np.array([90.0, np.nan, np.nan]), np.full(3, True)) == {}
+
+
+def test_a_doubted_first_reading_that_stays_is_believed_after_a_while() -> None:
+    sensors = {name: Sensor(range_degC=(-10.0, 100.0)) for name in "abc"}
+    tracks: dict[str, Track] = {}
+    believed = []
+    for t in np.arange(0.0, CONFIRM_S + 60.0, 30.0):
+        verdict = judge(sensors, tracks, float(t), {"a": 60.0, "b": 22.0, "c": 21.0}, TIGHT)
+        tracks = verdict.tracks
+        believed.append("a" not in verdict.faults)
+        if not believed[-1]:
+            assert verdict.faults["a"].startswith("reads 60 °C, where the other sensors suggest")
+    assert believed[0] is False
+    assert believed[-1] is True

@@ -70,7 +70,7 @@ def test_a_network_that_cannot_be_loaded_is_named() -> None:
 def test_machines_whose_rate_cannot_be_bounded_yet_are_refused(tmp_path: Path) -> None:
     bundle = write_bundle(tmp_path / "five", parse_machine(five_axis_text("w C A Y X b Z t")))
     with pytest.raises(BundleError, match=r"bundle '.*': a machine to serve must have linear .*, got rotary axes A, C"):
-        MachineState(bundle, Settings(), lambda: NOON)
+        MachineState(bundle, Settings(), lambda: NOON, lambda: NOON)
 
 
 def test_geometry_of_no_machine_is_refused(cold: Bundle) -> None:

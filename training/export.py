@@ -45,6 +45,7 @@ def write_network(
     if not gap <= PARITY_UM:
         raise ComputeError(f"the exported network must agree with torch to {PARITY_UM:g} µm, got {gap:.3g}")
     readings = np.concatenate([run.telemetry.temperatures for run in dataset.runs.values()])
+    channels = np.concatenate([run.telemetry.channels for run in dataset.runs.values()])
     record = NetworkRecord(
         sensors=list(dataset.sensors),
         channels=list(dataset.channels),
@@ -59,6 +60,10 @@ def write_network(
             for name, low, high in zip(
                 dataset.sensors, np.nanmin(readings, axis=0), np.nanmax(readings, axis=0), strict=True
             )
+        },
+        valid_range_channels={
+            name: (float(low), float(high))
+            for name, low, high in zip(dataset.channels, channels.min(axis=0), channels.max(axis=0), strict=True)
         },
         sensor_mean_degC=sensor_model.mean.tolist(),
         sensor_covariance_K2=sensor_model.covariance.tolist(),

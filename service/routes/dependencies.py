@@ -17,9 +17,11 @@ from service.schemas import Sample
 from service.status import Status
 from service.timestamps import format_time
 
-MAX_AHEAD_S = 86400.0
-"""How far a time may be ahead of the service's clock [s]: replays and demonstrations run ahead, and one sample in
-milliseconds or of a wrong year would make all later ones too old."""
+MAX_AHEAD_S = 60.0
+"""How far a time may be ahead of the service's clock [s]: two clocks that somebody sets differ by less, and one sample
+of a wrong hour would make all later ones too old."""
+MAX_REPLAY_S = 86400.0
+"""The same in replay, which runs ahead; it still refuses milliseconds and wrong years."""
 
 
 def loaded_machines(request: Request) -> dict[str, MachineState]:
@@ -58,10 +60,11 @@ def header(machine: MachineState, now_s: float, status: Status) -> dict[str, Any
 def check_time(machine: MachineState, time_s: float, where: str) -> None:
     """Refuse a time too far ahead of the service's clock."""
     now_s = machine.clock()
-    if time_s > now_s + MAX_AHEAD_S:
+    most_s = MAX_REPLAY_S if machine.settings.replay else MAX_AHEAD_S
+    if time_s > now_s + most_s:
         raise unprocessable(
-            f"{where} must not be more than {MAX_AHEAD_S / 3600:g} h ahead of the service's clock, "
-            f"{format_time(now_s)}; got {format_time(time_s)}; give seconds, not milliseconds"
+            f"{where} must not be more than {most_s:g} s ahead of the service's clock, {format_time(now_s)}; "
+            f"got {format_time(time_s)}; set the sender's clock, and give seconds in UTC"
         )
 
 
