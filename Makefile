@@ -4,6 +4,7 @@ HOST ?= 127.0.0.1
 PORT ?= 8000
 SERVE_VENV := .venv
 DEV_VENV := .venv-test
+CHECK_PYTHON_LINE = $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { echo "thermotrue needs Python 3.11 or newer, got $$($(PYTHON) --version 2>/dev/null || echo "no '$(PYTHON)'"); name another: make PYTHON=python3.12"; exit 1; }
 PIP_FLAGS := --quiet --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: help run test bundle warm lint types imports unit format picture clean
@@ -44,13 +45,14 @@ clean:  ## remove what the targets made
 
 # The service alone: no torch, no SciPy.
 $(SERVE_VENV)/.installed: pyproject.toml constraints.txt
+	@$(CHECK_PYTHON_LINE)
 	@echo "installing the service into $(SERVE_VENV) (once, about half a minute)"
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "thermotrue needs Python 3.11 or newer; got $$($(PYTHON) --version); try make PYTHON=python3.12"; exit 1; }
 	@$(PYTHON) -m venv $(SERVE_VENV)
 	@$(SERVE_VENV)/bin/python -m pip install $(PIP_FLAGS) --editable .
 	@touch $@
 
 $(DEV_VENV)/.installed: pyproject.toml constraints.txt
+	@$(CHECK_PYTHON_LINE)
 	@echo "installing everything, torch included, into $(DEV_VENV) (once, a few minutes)"
 	@$(PYTHON) -m venv $(DEV_VENV)
 	@$(DEV_VENV)/bin/python -m pip install $(PIP_FLAGS) --editable '.[train,dev]'

@@ -14,7 +14,18 @@ import click
 
 from model.exceptions import InputError, ThermotrueError
 
-ORDER = ("synth", "train", "evaluate", "predict", "deviation", "compensate", "serve")
+ORDER = (
+    "describe",
+    "budget",
+    "identify",
+    "deviation",
+    "compensate",
+    "synth",
+    "train",
+    "evaluate",
+    "predict",
+    "serve",
+)
 """Commands in the order in which a user meets them."""
 
 

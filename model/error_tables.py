@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from model.error_map import Row
+from model.exceptions import DataError
 from model.tables import read_table
 
 COLUMNS = ("term", "position", "value")
@@ -31,8 +32,11 @@ def read_error_table(path: str | Path) -> list[Row]:
 
 def write_error_table(path: str | Path, rows: Iterable[Row]) -> None:
     """Write an error table as CSV; values keep all their digits."""
-    with Path(path).open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for term, position, value in rows:
-            writer.writerow([term, "" if position is None else repr(position), repr(value)])
+    try:
+        with Path(path).open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(COLUMNS)
+            for term, position, value in rows:
+                writer.writerow([term, "" if position is None else repr(position), repr(value)])
+    except OSError as problem:
+        raise DataError(f"'{path}' cannot be written: {problem.strerror}") from None

@@ -8,6 +8,7 @@ import numpy as np
 
 from model.exceptions import DataError
 from model.machine import Machine
+from model.streams import Chunk
 from model.tables import Table, read_table
 from model.transforms import Array
 
@@ -28,8 +29,20 @@ def read_positions(path: str | Path, machine: Machine, required: tuple[str, ...]
     return table, check_positions(np.stack([table.numbers[a] for a in machine.axis_names], axis=1), machine, str(path))
 
 
-def check_positions(q: Array, machine: Machine, where: str) -> Array:
-    """Return q of shape (n, A), each coordinate finite and within its axis' range.
+def coordinates(chunk: Chunk, machine: Machine) -> Array:
+    """Return the coordinates in a chunk, shape (n, A), checked.
+
+    Raises
+    ------
+    DataError
+        where a coordinate is not a number or outside its axis' range.
+    """
+    q = np.stack([chunk.numbers(a) for a in machine.axis_names], axis=1)
+    return check_positions(q, machine, chunk.source, chunk.first)
+
+
+def check_positions(q: Array, machine: Machine, where: str, first: int = 0) -> Array:
+    """Return q of shape (n, A), each coordinate finite and within its axis' range; `first` rows come before it.
 
     Raises
     ------
@@ -43,6 +56,6 @@ def check_positions(q: Array, machine: Machine, where: str) -> Array:
             row = int(np.argmax(wrong))
             raise DataError(
                 f"axis '{name}' must lie within {axis.low:g} and {axis.high:g} {axis.unit}, got {q[row, column]:g} "
-                f"in row {row + 1} of '{where}'"
+                f"in row {first + row + 1} of '{where}'"
             )
     return q

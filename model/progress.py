@@ -52,12 +52,16 @@ class Reporter:
 
     def advance(self, note: str = "") -> None:
         """Count one more step; `note` says something about it."""
-        self._done += 1
+        self.at(self._done + 1, self._total, note)
+
+    def at(self, done: int, total: int, note: str = "") -> None:
+        """Say how many steps are done, of how many by what is known now."""
+        self._done, self._total = done, total
         if self._bar is not None:
-            self._bar.update(self._task, advance=1, note=note)
+            self._bar.update(self._task, completed=done, total=total, note=note)
         elif time.monotonic() - self._shown_at >= LINE_EVERY_S:
             self._shown_at = time.monotonic()
-            print(f"{self._what}: {self._done} of {self._total} {note}".rstrip(), file=sys.stderr, flush=True)
+            print(f"{self._what}: {done} of {total} {note}".rstrip(), file=sys.stderr, flush=True)
 
 
 def track(items: Sequence[Item], what: str) -> Iterator[Item]:

@@ -138,6 +138,7 @@ def lay_out(entries: Sequence[BodyEntry], *, tool_errors: bool, workpiece_errors
         kept.append(Body(row.name, lower, row.axis, suffix=suffix))
         if _is_leaf(row):
             leaves[row.name] = index[row.name]
+    _check_suffixes(kept)
     tools = {name: at for name, at in leaves.items() if name != "workpiece"}
     work_path = set(path_to(kept, leaves["workpiece"]))
     tool_paths = set().union(*(path_to(kept, at) for at in tools.values()))
@@ -209,6 +210,20 @@ def _check_entries(entries: Sequence[BodyEntry]) -> None:
         raise MachineError("the table of bodies must have a leaf called 'workpiece', got none")
     if not any(_is_leaf(e) and e.name != "workpiece" for e in entries):
         raise MachineError("the table of bodies must have a leaf whose name begins with 'tool', got none")
+
+
+def _check_suffixes(bodies: Sequence[Body]) -> None:
+    """Refuse two bodies whose location terms would have the same names: an axis W and a fixture, two like tools."""
+    seen: dict[str, str] = {}
+    for body in bodies:
+        if body.suffix is None:
+            continue
+        if body.suffix in seen:
+            raise MachineError(
+                f"bodies '{seen[body.suffix]}' and '{body.name}' would both have the location terms "
+                f"EX0{body.suffix} ... EC0{body.suffix}; name one of them otherwise, or leave out its errors"
+            )
+        seen[body.suffix] = body.name
 
 
 def _once(values: Iterable[str], sentence: str) -> None:

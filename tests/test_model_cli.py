@@ -32,7 +32,10 @@ def folder(tmp_path: Path) -> Path:
 
 def test_help_lists_the_commands_in_a_users_order(tmp_path: Path) -> None:
     done = run("--help", cwd=tmp_path)
-    places = [done.stdout.index(f"\n  {name} ") for name in ("synth", "train", "evaluate", "predict", "serve")]
+    places = [
+        done.stdout.index(f"\n  {name} ")
+        for name in ("describe", "compensate", "synth", "train", "evaluate", "predict", "serve")
+    ]
     assert done.returncode == 0
     assert places == sorted(places)
 
@@ -71,6 +74,24 @@ def test_deviation_writes_micrometres_and_microradians(folder: Path) -> None:
             np.testing.assert_allclose(table[f"d{a}_um"], expected.position_mm[:, i] * 1e3, atol=tolerance)
         for i, a in enumerate("abc"):
             np.testing.assert_allclose(table[f"d{a}_urad"], expected.orientation_rad[:, i] * 1e6, atol=tolerance)
+
+
+def test_kept_axes_stay_and_what_is_left_is_told(folder: Path) -> None:
+    done = run(
+        "compensate", ".", "--errors", "errors.csv", "--positions", "positions.csv", "--out", "out.csv", "--keep", "Z",
+        cwd=folder,
+    )  # fmt: skip
+    assert done.returncode == 0
+    assert "warning: the free axes do not reach every direction; the tip stays up to 12.5 µm away" in done.stderr
+    table = read_table(folder / "out.csv").numbers
+    np.testing.assert_array_equal(table["Z_corrected"], table["Z"])
+    assert (table["tilt_urad"] > 0.0).any()  # EBZ tilts the tool, and no axis can undo it
+    done = run(
+        "compensate", ".", "--errors", "errors.csv", "--positions", "positions.csv", "--out", "out.csv", "--keep", "Q",
+        cwd=folder,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert done.stderr == "thermotrue: unknown axis 'Q' to keep; known are X, Y, Z\n"
 
 
 def test_positions_beyond_the_range_after_correction_are_reported(folder: Path) -> None:

@@ -112,7 +112,11 @@ def test_a_machine_that_cannot_reach_a_direction_says_what_is_left() -> None:
 
 def test_parallel_linear_axes_share_the_correction() -> None:
     text = machine_text("w Y b X Z W t").replace("[tool]", "[axes.W]\nrange = [0.0, 100.0]\n[tool]")
-    chain = Chain(parse_machine(text))
+    with pytest.raises(
+        MachineError, match="key 'structure' in .*: bodies 'workpiece' and 'W' would both have the .* EX0W"
+    ):
+        parse_machine(text)
+    chain = Chain(parse_machine(text.replace("[workpiece]\nerrors = true", "")))
     errors = ErrorMap.from_rows(chain.machine, [("EZ0T", None, 10.0)])
     found = compensate(chain, np.array([[1.0, 2.0, 3.0, 4.0]]), errors)
     np.testing.assert_allclose(found.corrected[0, 2:] - [3.0, 4.0], [-0.005, -0.005], atol=1e-9)

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,9 @@ from shop import write_dataset
 
 from model.bundle import load_bundle
 from model.predictor import Predictor
+from service.machine_state import MachineState
+from service.schemas import Sample
+from service.settings import Settings as ServiceSettings
 from training.dataset import load_dataset
 from training.evaluation import NETWORK, NO_COMPENSATION, RIDGE
 from training.job import Result, train_bundle
@@ -113,3 +117,18 @@ def test_a_real_machines_recording_trains_and_its_bundle_predicts(tmp_path: Path
     predictor = Predictor(load_bundle(tmp_path / "bundle"))
     assert predictor.channels == ("spindle_rpm",)
     assert predictor.datum == "run-start"
+    served = MachineState(result.bundle, ServiceSettings(replay=True), time.time, time.monotonic)
+    run = result.dataset.runs["etve"].telemetry
+    middle = np.array([[400.0, 250.0, 250.0]])
+    begin_s = time.time()
+    for i in range(0, 1500, 4):
+        temperatures = dict(zip(predictor.sensors, map(float, run.temperatures[i]), strict=True))
+        channels = {"spindle_rpm": float(run.channels[i, 0])}
+        sample = Sample(time=begin_s + float(run.time_s[i]), temperatures=temperatures, channels=channels)
+        assert served.take([sample]).accepted == 1
+    warm = served.compensate(middle, None, begin_s + float(run.time_s[1499]))
+    coefficients = predictor.follow(run)
+    expected = predictor.fields.tabulate(coefficients[1496] - coefficients[0]).evaluate(middle)
+    tip = served.chain.deviation(middle, expected).position_mm
+    np.testing.assert_allclose(warm.deviation_mm, tip, atol=1e-4)
+    assert np.abs(warm.correction_mm).max() > 5e-3
