@@ -16,6 +16,14 @@ positions_option = click.option(
 )
 out_option = click.option("--out", required=True, type=PATH, help="File to write, .csv or .parquet.")
 tool_option = click.option("--tool-length", type=float, help="Tool length [mm]; default: the machine's tool offset.")
+relative_option = click.option(
+    "--relative-to",
+    type=click.Choice(["body", "tool"]),
+    default="body",
+    show_default=True,
+    help="What the error table says: a body against its lower body, or, as instruments do, the tool against the "
+    "workpiece (taken as measured at each body's origin: signs change, levers do not).",
+)
 spindle_option = click.option("--tool", help="Name of the tool leaf, where the machine has several.")
 
 
@@ -26,6 +34,7 @@ spindle_option = click.option("--tool", help="Name of the tool leaf, where the m
 @out_option
 @tool_option
 @spindle_option
+@relative_option
 @click.option("--small-angle", is_flag=True, help="Use the small-angle transforms of eq. (3) and not the exact ones.")
 def deviation(
     machine: Path,
@@ -34,6 +43,7 @@ def deviation(
     out: Path,
     tool_length: float | None,
     tool: str | None,
+    relative_to: str,
     small_angle: bool,
 ) -> None:
     """Write where the tool tip really is, less where it should be.
@@ -45,7 +55,7 @@ def deviation(
     from model.streams import Chunk, transform
     from model.terms import UM, URAD
 
-    chain, error_map, tool_mm = _prepare(machine, errors, tool_length, tool)
+    chain, error_map, tool_mm = _prepare(machine, errors, tool_length, tool, relative_to)
 
     def deviations(chunk: Chunk) -> dict[str, Any]:
         q = coordinates(chunk, chain.machine)
@@ -64,9 +74,17 @@ def deviation(
 @out_option
 @tool_option
 @spindle_option
+@relative_option
 @click.option("--keep", default="", help="Axes that must stay as programmed, separated by commas, such as A,C.")
 def compensate(
-    machine: Path, errors: Path, positions: Path, out: Path, tool_length: float | None, tool: str | None, keep: str
+    machine: Path,
+    errors: Path,
+    positions: Path,
+    out: Path,
+    tool_length: float | None,
+    tool: str | None,
+    relative_to: str,
+    keep: str,
 ) -> None:
     """Write the coordinates to command so that the tool ends up at the positions asked for.
 
@@ -80,7 +98,7 @@ def compensate(
     from model.streams import Chunk, transform
     from model.terms import UM, URAD
 
-    chain, error_map, tool_mm = _prepare(machine, errors, tool_length, tool)
+    chain, error_map, tool_mm = _prepare(machine, errors, tool_length, tool, relative_to)
     kept = [name.strip() for name in keep.split(",") if name.strip()]
     outside = first_outside = 0
     furthest_mm = 0.0
@@ -110,7 +128,9 @@ def compensate(
         )
 
 
-def _prepare(machine: Path, errors: Path, tool_length: float | None, tool: str | None) -> tuple[Any, ...]:
+def _prepare(
+    machine: Path, errors: Path, tool_length: float | None, tool: str | None, relative_to: str
+) -> tuple[Any, ...]:
     import math
 
     import numpy as np
@@ -120,9 +140,13 @@ def _prepare(machine: Path, errors: Path, tool_length: float | None, tool: str |
     from model.error_map import ErrorMap
     from model.error_tables import read_error_table
     from model.exceptions import DataError
+    from model.relative_to import to_body
 
     described = machine_of(machine)
-    error_map = ErrorMap.from_rows(described, read_error_table(errors), f"'{errors}'")
+    rows = read_error_table(errors)
+    if relative_to == "tool":
+        rows = to_body(described, rows)
+    error_map = ErrorMap.from_rows(described, rows, f"'{errors}'")
     tool_mm = None
     if tool_length is not None:
         if not math.isfinite(tool_length):
