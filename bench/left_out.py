@@ -23,7 +23,7 @@ from training.baselines import fit_ridge
 from training.dataset import DataSet, MeasuredRun, load_dataset
 from training.evaluation import column_basis
 from training.split import Split, split_by_run
-from training.tip import tip_metric
+from training.tip import TipMetric, tip_metric
 from training.trainer import Settings, Training, Verdict, train_network
 
 
@@ -46,8 +46,8 @@ def splits(dataset: DataSet) -> list[tuple[str, Split]]:
     return found
 
 
-def network(training: Training, dataset: DataSet, run: MeasuredRun, sensors: SensorModel) -> Array:
-    """Return the measured columns as the torch network predicts them."""
+def network(training: Training, dataset: DataSet, run: MeasuredRun, sensors: SensorModel, metric: TipMetric) -> Array:
+    """Return the terms on the metric's grid as the torch network predicts them."""
     net: ThermalNetwork = training.net
     inputs = np.concatenate([sensors.fill(run.telemetry.temperatures), run.telemetry.channels], axis=1)
     dt_s = np.diff(run.telemetry.time_s, prepend=run.telemetry.time_s[0])
@@ -55,7 +55,8 @@ def network(training: Training, dataset: DataSet, run: MeasuredRun, sensors: Sen
         coefficients = net.decode(net.sequence(torch.tensor(inputs[None]), torch.tensor(dt_s[None])))[0].numpy()
     if dataset.datum == "run-start":
         coefficients = coefficients - coefficients[0]
-    return run.between(coefficients) @ column_basis(training.fields, dataset.columns).T
+    columns = run.between(coefficients) @ column_basis(training.fields, dataset.columns).T
+    return metric.sample(np.where(np.isfinite(run.values), columns, np.nan))
 
 
 def main() -> None:
@@ -82,15 +83,16 @@ def main() -> None:
             mine = np.zeros_like(squares)
             for run_name in split.test_runs:
                 run, out = dataset.runs[run_name], split.test[run_name]
+                truth = metric.sample(run.values)
                 for i, predicted in enumerate(
                     (
-                        np.zeros_like(run.values),
+                        np.zeros_like(truth),
                         ridge.predict(run),
-                        network(linear, dataset, run, sensors),
-                        network(whole, dataset, run, sensors),
+                        network(linear, dataset, run, sensors, metric),
+                        network(whole, dataset, run, sensors, metric),
                     )
                 ):
-                    mine[i] += metric.mean_square((run.values - predicted)[out]).sum()
+                    mine[i] += metric.mean_square((truth - predicted)[out]).sum()
             squares += mine
             shares = np.sqrt(mine[1:] / mine[0])
             table.add_row(name, *(f"{s:.1%}" for s in shares), "yes" if whole.verdict.keep else "no")

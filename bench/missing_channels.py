@@ -43,7 +43,8 @@ def main() -> None:
     arguments = parser.parse_args()
     dataset = load_dataset(arguments.dataset)
     predictor = Predictor(load_bundle(arguments.bundle))
-    method = network_method(predictor, dataset)
+    metric = tip_metric(dataset)
+    method = network_method(predictor, dataset, metric)
     everything = {name: np.ones(len(run.time_s), dtype=bool) for name, run in dataset.runs.items()}
     table = Table("channels", "share left", "worst run [µm]")
     for how in (
@@ -52,9 +53,7 @@ def main() -> None:
         "held for ten minutes, then 0",
         "held at the value of a third of the run",
     ):
-        scores = compare(
-            dataset, everything, {how: lambda run, how=how: method(without(run, how))}, tip_metric(dataset)
-        )
+        scores = compare(dataset, everything, {how: lambda run, how=how: method(without(run, how))}, metric)
         by_run = scores[how].by_run_um
         worst = max(by_run, key=lambda name: by_run[name])
         table.add_row(how, f"{scores[how].share:.1%}", f"{worst} {by_run[worst]:.1f}")

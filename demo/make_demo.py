@@ -36,7 +36,7 @@ def _write_warm_up(result: Result) -> None:
     drift = {}
     for name, measured in dataset.runs.items():
         hour = measured.values[measured.time_s <= 3600.0]
-        drift[name] = float(metric.mean_square(hour - hour[0])[-1])
+        drift[name] = float(metric.mean_square(metric.sample(hour - hour[0]))[-1])
     run = dataset.runs[max(drift, key=lambda name: drift[name])].telemetry
     with (ROOT / "demo" / "warm_up.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import shutil
 import tempfile
 from collections.abc import Iterable
@@ -15,11 +16,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from model.error_map import ErrorMap, Row
 from model.error_tables import read_error_table, write_error_table
 from model.exceptions import BundleError
 from model.machine import Machine, load_machine
 from model.manifest import FORMAT_VERSION, Manifest, NetworkRecord
+from model.sensors import is_covariance
 from model.validation import check
 
 MACHINE, NETWORK, GEOMETRY, MANIFEST = "machine.toml", "network.onnx", "geometry.csv", "manifest.json"
@@ -57,10 +61,12 @@ def load_bundle(path: str | Path) -> Bundle:
         raise BundleError(f"{where} must be a folder with {MACHINE} and {MANIFEST}; there is none")
     raw = _read(path / MANIFEST, where)
     try:
-        data: dict[str, Any] = json.loads(raw)
+        data: Any = json.loads(raw)
     except ValueError as problem:
         raise BundleError(f"{where}: {MANIFEST} is not JSON: {problem}") from None
-    if isinstance(data, dict) and data.get("format_version") != FORMAT_VERSION:
+    if not isinstance(data, dict):
+        raise BundleError(f"{where}: {MANIFEST} must be an object, got {_kind(data)}; export it again")
+    if data.get("format_version") != FORMAT_VERSION:
         raise BundleError(
             f"{where} has format version {data.get('format_version')!r}, this release reads {FORMAT_VERSION}; "
             "export it again with `thermotrue train`"
@@ -95,11 +101,46 @@ def write_bundle(
     Raises
     ------
     BundleError
-        where `path` exists and is not a bundle.
+        where `path` exists and is not a bundle, or cannot be written.
     """
     path = Path(path)
-    if path.exists() and not (path / MANIFEST).is_file() and (not path.is_dir() or any(path.iterdir())):
-        raise BundleError(f"'{path}' exists and is not a bundle; name another folder")
+    check_free(path)
+    try:
+        return _write(path, machine, geometry, network, record, training or {}, test or {})
+    except OSError as problem:
+        raise BundleError(f"bundle '{path}' cannot be written: {_reason(problem)}") from None
+
+
+def check_free(path: str | Path) -> None:
+    """Check that a bundle could be written: nothing is there, or an older bundle.
+
+    Raises
+    ------
+    BundleError
+        where `path` exists and is not a bundle, or lies in what is not a folder.
+    """
+    path = Path(path)
+    try:
+        if path.exists() and not (path / MANIFEST).is_file() and (not path.is_dir() or any(path.iterdir())):
+            raise BundleError(f"'{path}' exists and is not a bundle; name another folder")
+        there = next(p for p in path.absolute().parents if p.exists())
+    except OSError as problem:
+        raise BundleError(f"bundle '{path}' cannot be written: {_reason(problem)}") from None
+    if not there.is_dir():
+        raise BundleError(f"bundle '{path}' cannot be written: '{there}' is a file; name a folder")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise BundleError(f"bundle '{path}' cannot be written: no permission to write in '{there}'")
+
+
+def _write(
+    path: Path,
+    machine: Machine,
+    geometry: Iterable[Row],
+    network: bytes | None,
+    record: NetworkRecord | None,
+    training: dict[str, Any],
+    test: dict[str, Any],
+) -> Bundle:
     path.parent.mkdir(parents=True, exist_ok=True)
     staging = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
     try:
@@ -113,8 +154,8 @@ def write_bundle(
             machine=machine.name,
             files=files,
             network=record,
-            training=training or {},
-            test=test or {},
+            training=training,
+            test=test,
         )
         text = json.dumps(manifest.model_dump(mode="json"), indent=1, allow_nan=False)
         (staging / MANIFEST).write_text(text + "\n", encoding="utf-8")
@@ -145,6 +186,15 @@ def _swap(staging: Path, path: Path) -> None:
 def machine_of(path: str | Path) -> Machine:
     """Return the machine of a TOML file, bundle or data set, verifying a bundle's checksums."""
     return load_bundle(path).machine if (Path(path) / MANIFEST).is_file() else load_machine(path)
+
+
+def _reason(problem: OSError) -> str:
+    return problem.strerror or str(problem)
+
+
+def _kind(data: Any) -> str:
+    kinds = {list: "a list", str: "a text", bool: "true or false", int: "a number", float: "a number"}
+    return kinds.get(type(data), "nothing")
 
 
 def _read(file: Path, where: str) -> bytes:
@@ -181,3 +231,5 @@ def _check_network(record: NetworkRecord, machine: Machine, where: str) -> None:
     shape = [len(row) for row in record.sensor_covariance_K2]
     if len(record.sensor_mean_degC) != count or shape != [count] * count:
         raise BundleError(f"{where}: {MANIFEST}: sensor statistics must be those of its {count} sensors")
+    if not is_covariance(np.array(record.sensor_covariance_K2)):
+        raise BundleError(f"{where}: {MANIFEST}: sensor_covariance_K2 must be symmetric and positive semidefinite")

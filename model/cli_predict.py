@@ -51,6 +51,12 @@ def predict(bundle: Path, telemetry: Path, positions: Path, out: Path) -> None:
                 f"times in run '{name}' of '{positions}' must not lie before its telemetry, which starts at "
                 f"{run.time_s[0]:g} s, got {time_s[early[0]]:g} in row {early[0] + 1}"
             )
+        late = rows[~(time_s[rows] <= run.time_s[-1])]
+        if len(late):
+            raise DataError(
+                f"times in run '{name}' of '{positions}' must not lie after its telemetry, which ends at "
+                f"{run.time_s[-1]:g} s, got {time_s[late[0]]:g} in row {late[0] + 1}"
+            )
         followed = predictor.follow(run)
         if predictor.datum == "run-start":
             followed = followed - followed[0]

@@ -32,6 +32,9 @@ class SensorModel:
     def fit(cls, temperatures: Array) -> SensorModel:
         """Estimate it from readings of shape (n, S), NaN where missing.
 
+        Each pair of sensors counts the samples that have both. With gaps this need not be a covariance of anything,
+        so its correlations are brought to the nearest ones that are.
+
         Raises
         ------
         DataError
@@ -44,7 +47,8 @@ class SensorModel:
         mean = np.where(known, temperatures, 0.0).sum(axis=0) / count
         centred = np.where(known, temperatures - mean, 0.0)
         together = np.maximum(known.T.astype(float) @ known.astype(float), 1.0)
-        return cls(mean, centred.T @ centred / together)
+        covariance = centred.T @ centred / together
+        return cls(mean, covariance if known.all() else _semidefinite(covariance))
 
     def fill(self, temperatures: Array) -> Array:
         """Replace NaN by the conditional mean given the other sensors.
@@ -72,3 +76,24 @@ class SensorModel:
         gain = np.linalg.solve(total[np.ix_(~pattern, ~pattern)], total[np.ix_(~pattern, pattern)])
         estimate: Array = self.mean[pattern] + (known - self.mean[~pattern]) @ gain
         return estimate
+
+
+def _semidefinite(covariance: Array) -> Array:
+    """Return it without negative eigenvalues of the correlations; variances stay (Rebonato and Jäckel, 1999)."""
+    deviation = np.sqrt(np.diag(covariance))
+    unit = np.where(deviation > 0, deviation, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
+    half = vectors * np.sqrt(np.maximum(values, 0.0))
+    size = np.linalg.norm(half, axis=1)
+    half *= (deviation / np.where(size > 0, size, 1.0))[:, None]
+    return np.asarray(half @ half.T, dtype=float)
+
+
+def is_covariance(matrix: Array) -> bool:
+    """Say whether a matrix of shape (S, S) is finite, symmetric and, but for rounding, positive semidefinite."""
+    if not matrix.size:
+        return True
+    if not np.isfinite(matrix).all() or not np.allclose(matrix, matrix.T, rtol=1e-9, atol=1e-12):
+        return False
+    values = np.linalg.eigvalsh(matrix)
+    return bool(values[0] >= -1e-9 * max(float(values[-1]), 1e-9))

@@ -12,6 +12,9 @@ from model.exceptions import DataError
 from model.tables import Table, read_table
 from model.transforms import Array
 
+LARGEST_DEGC, LARGEST_CHANNEL = 1000.0, 1e9
+"""Larger temperatures and channels are no machine's (chosen): a fault code, or a wrong unit."""
+
 
 @dataclass(frozen=True)
 class Run:
@@ -52,8 +55,8 @@ def read_telemetry(
     Raises
     ------
     DataError
-        where a column is missing, a temperature is infinite, a channel is not finite, a sensor has no reading in a
-        run, or time does not rise within a run.
+        where a column is missing, a temperature is infinite, a channel is not finite, either is beyond any
+        machine's, a sensor has no reading in a run, or time does not rise within a run.
     """
     table = read_table(path, required=("run", "time_s"))
     for sensor in sensors:
@@ -72,6 +75,8 @@ def read_telemetry(
     _check_finite(path, "time_s", time_s[:, None], ["time_s"])
     _check_finite(path, "temperature", np.where(np.isnan(temperatures), 0.0, temperatures), sensors)
     _check_finite(path, "channel", extra, names)
+    _check_size(path, "temperature", temperatures, sensors, LARGEST_DEGC, " °C")
+    _check_size(path, "channel", extra, names, LARGEST_CHANNEL, "")
     runs: dict[str, Run] = {}
     run_column = table.text["run"]
     for name in dict.fromkeys(run_column.tolist()):
@@ -104,4 +109,14 @@ def _check_finite(path: str | Path, what: str, values: Array, names: Sequence[st
         row, column = (int(i) for i in np.argwhere(wrong)[0])
         raise DataError(
             f"'{path}': {what} '{names[column]}' must be a finite number, got {values[row, column]} in row {row + 1}"
+        )
+
+
+def _check_size(path: str | Path, what: str, values: Array, names: Sequence[str], largest: float, unit: str) -> None:
+    wrong = np.abs(values) > largest
+    if wrong.any():
+        row, column = (int(i) for i in np.argwhere(wrong)[0])
+        raise DataError(
+            f"'{path}': {what} '{names[column]}' must lie within ±{largest:g}{unit}, got {values[row, column]:g} in "
+            f"row {row + 1}"
         )

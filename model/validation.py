@@ -50,9 +50,12 @@ def sentence(findings: Sequence[Mapping[str, Any]], schema: type[BaseModel], whe
         return f"unknown key '{'.'.join(path)}' in {where}{did_you_mean(path[-1], _keys(schema, path))}"
     if first["type"] == "missing":
         return f"key '{'.'.join(path)}' is missing in {where}"
+    if not path and first["type"] in ("model_type", "dict_type"):
+        return f"{where} must be an object with keys, got {first['input']!r}"
     reason = first["msg"].removeprefix("Value error, ")
     reason = reason[:1].lower() + reason[1:]
-    return f"key '{'.'.join(path)}' in {where}: {reason}, got {first['input']!r}"
+    place = f"key '{'.'.join(path)}' in {where}" if path else where
+    return f"{place}: {reason}, got {first['input']!r}"
 
 
 def did_you_mean(word: str, known: list[str]) -> str:

@@ -1,3 +1,4 @@
+import errno
 import json
 import shutil
 from collections.abc import Callable
@@ -10,8 +11,10 @@ from machines import machine_text
 from model.bundle import load_bundle, machine_of, write_bundle
 from model.exceptions import BundleError, ComputeError, DataError
 from model.machine import parse_machine
+from model.manifest import Manifest
 from model.predictor import Predictor
 from model.telemetry import Run
+from model.validation import check
 
 TINY = Path(__file__).parent / "data" / "tiny_bundle"
 
@@ -95,6 +98,14 @@ def test_a_missing_file_is_named(copy: Path, name: str) -> None:
             lambda m: m["network"]["sensor_mean_degC"].pop(),
             "bundle '.*': manifest.json: sensor statistics must be",
         ),
+        (
+            lambda m: m["network"].update(sensor_covariance_K2=[[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+            "bundle '.*': manifest.json: sensor_covariance_K2 must be symmetric and positive semidefinite",
+        ),
+        (
+            lambda m: m["network"]["sensor_mean_degC"].__setitem__(0, float("nan")),
+            "key 'network.sensor_mean_degC.0' in bundle '.*', manifest.json: input should be a finite number, got nan",
+        ),
     ],
 )
 def test_a_wrong_manifest_gets_one_sentence(copy: Path, change: Callable[[dict], object], message: str) -> None:
@@ -109,6 +120,37 @@ def test_no_folder_and_no_json(tmp_path: Path, copy: Path) -> None:
     (copy / "manifest.json").write_text("{")
     with pytest.raises(BundleError, match="bundle '.*': manifest.json is not JSON"):
         load_bundle(copy)
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"), [("[]", "a list"), ('"x"', "a text"), ("null", "nothing"), ("3", "a number")]
+)
+def test_a_manifest_that_is_no_object(copy: Path, text: str, kind: str) -> None:
+    (copy / "manifest.json").write_text(text)
+    with pytest.raises(BundleError, match=f"bundle '.*': manifest.json must be an object, got {kind}; export it again"):
+        load_bundle(copy)
+
+
+def test_a_record_that_is_no_object_is_told_so_without_a_key() -> None:
+    with pytest.raises(BundleError, match=r"^here must be an object with keys, got \[\]$"):
+        check(Manifest, [], "here", BundleError)  # type: ignore[arg-type]
+
+
+def test_a_bundle_where_none_can_be_gets_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    machine = parse_machine(machine_text())
+    (tmp_path / "file").write_text("precious")
+    with pytest.raises(BundleError, match="bundle '.*x' cannot be written: '.*file' is a file; name a folder"):
+        write_bundle(tmp_path / "file" / "x", machine)
+    with pytest.raises(BundleError, match="bundle '.*' cannot be written: File name too long"):
+        write_bundle(tmp_path / ("x" * 300), machine)
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("model.bundle.write_error_table", full)
+    with pytest.raises(BundleError, match="bundle '.*b' cannot be written: No space left on device"):
+        write_bundle(tmp_path / "b", machine)
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
 def test_a_network_that_does_not_fit_its_manifest_is_refused(copy: Path) -> None:

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from model.exceptions import DataError
-from model.sensors import SensorModel
+from model.sensors import SensorModel, is_covariance
 
 RNG = np.random.default_rng(6)
 COMMON = RNG.normal(0, 5, (4000, 1))
@@ -43,6 +43,31 @@ def test_gaps_in_training_bias_nothing() -> None:
     readings = READINGS.copy()
     readings[RNG.random(readings.shape) < 0.2] = np.nan
     np.testing.assert_allclose(SensorModel.fit(readings).mean, FITTED.mean, atol=0.3)
+
+
+def test_gaps_leave_a_covariance_and_estimates_that_beat_the_mean() -> None:
+    """Three of four readings are missing at random, so each pair of sensors was seen on samples of its own."""
+    rng = np.random.default_rng(0)
+    truth = 25.0 + rng.normal(0, 4, (3000, 2)) @ rng.normal(0, 1, (2, 10)) + rng.normal(0, 0.1, (3000, 10))
+    missing = rng.random(truth.shape) < 0.75
+    fitted = SensorModel.fit(np.where(missing, np.nan, truth))
+    assert np.linalg.eigvalsh(fitted.covariance)[0] >= -1e-9
+    np.testing.assert_allclose(np.diag(fitted.covariance), truth.var(axis=0), rtol=0.15)
+    error = (fitted.fill(np.where(missing, np.nan, truth)) - truth)[missing]
+    assert np.sqrt((error**2).mean()) < 0.6 * truth.std()
+
+
+def test_a_sensor_that_never_moves_and_ones_never_read_together() -> None:
+    readings = READINGS.copy()
+    readings[:, 3] = 20.0
+    readings[::2, :2] = np.nan
+    readings[1::2, 2:] = np.nan
+    fitted = SensorModel.fit(readings)
+    assert fitted.covariance[3, 3] == 0.0
+    assert np.isfinite(fitted.fill(readings)).all()
+    assert is_covariance(fitted.covariance)
+    assert not is_covariance(np.array([[1.0, 2.0], [2.0, 1.0]]))
+    assert not is_covariance(np.array([[1.0, 0.5], [0.2, 1.0]]))
 
 
 def test_a_sensor_without_readings_is_refused() -> None:

@@ -81,6 +81,19 @@ def replaced(path: Path, old: str, new: str) -> None:
         ),
         (
             "error_terms.csv",
+            "r0,360.0,EZ0T",
+            "r0,0.0,EZ0T",
+            r"'.*error_terms.csv': EZ0T at time 0 stands twice in run 'r0', again in row 5; keep one",
+        ),
+        (
+            "error_terms.csv",
+            "EZ0T,,-",
+            "EZ0T,,-9999999",
+            r"'.*error_terms.csv': value must lie within ±1e\+06 µm or µrad, got -1e\+",
+        ),
+        ("telemetry.csv", "r0,0.0,", "r0,0.0,100", "'.*telemetry.csv': temperature 'spindle' must lie within ±1000 °C"),
+        (
+            "error_terms.csv",
             "r0,0.0",
             "r0,nan",
             "'.*error_terms.csv': time_s must be a finite number, got nan in row 1",
@@ -96,6 +109,28 @@ def test_a_wrong_data_set_gets_one_sentence(tmp_path: Path, file: str, old: str,
     with pytest.raises(InputError, match=message) as caught:
         load_dataset(folder)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("EQQ,,1", "'.*geometry.csv', row 2: unknown error term 'EQQ' for machine 'test'"),
+        ("EXX,0,2e6", r"'.*geometry.csv': value must lie within ±1e\+06 µm or µrad, got 2e\+06 in row 2"),
+    ],
+)
+def test_wrong_geometry_is_found_when_the_data_set_is_read(tmp_path: Path, text: str, message: str) -> None:
+    folder = write_dataset(tmp_path / "d", 1, 1.0)
+    (folder / "geometry.csv").write_text(f"term,position,value\nEYX,0,1\n{text}\n")
+    with pytest.raises(InputError, match=message):
+        load_dataset(folder)
+
+
+def test_a_folder_in_the_place_of_dataset_toml_is_not_the_default(tmp_path: Path) -> None:
+    folder = write_dataset(tmp_path / "d", 1, 1.0)
+    (folder / "dataset.toml").unlink()
+    (folder / "dataset.toml").mkdir()
+    with pytest.raises(InputError, match="'.*dataset.toml' cannot be read: Is a directory"):
+        load_dataset(folder)
 
 
 @pytest.mark.parametrize(

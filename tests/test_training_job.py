@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -100,6 +101,31 @@ def test_wrong_splits_write_nothing(folder: Path, tmp_path: Path, args: list[str
     assert done.returncode == 2
     assert done.stderr.startswith(message)
     assert not (tmp_path / "bundle").exists()
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["--out", "taken"], "thermotrue: 'taken' exists and is not a bundle; name another folder"),
+        (["--out", "file/x"], "thermotrue: bundle 'file/x' cannot be written: '.*file' is a file; name a folder"),
+        (["--out", "b", "--picture", "none/day.png"], "thermotrue: picture '.*' must be in a folder that exists"),
+        (["--out", "b", "--picture", "day.doc"], "thermotrue: picture 'day.doc' must end in .png, .svg, .pdf, got"),
+        (["--out", "b", "--picture", "day.png"], "thermotrue: picture 'day.png' must be a file, got a folder"),
+    ],
+)
+def test_what_cannot_be_written_is_found_before_training(
+    folder: Path, tmp_path: Path, args: list[str], message: str
+) -> None:
+    (tmp_path / "file").write_text("precious")
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "work.txt").write_text("precious")
+    (tmp_path / "day.png").mkdir()
+    done = subprocess.run(
+        [THERMOTRUE, "train", str(folder), *args], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert re.match(message, done.stderr), done.stderr
+    assert done.stderr.count("\n") == 1  # no line of progress: nothing was trained
 
 
 def test_a_bundle_of_another_machine_is_not_evaluated(folder: Path) -> None:

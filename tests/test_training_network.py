@@ -20,6 +20,7 @@ from model.network import (
     export_onnx,
     linear_recurrence,
 )
+from model.sensors import SensorModel
 from training.dataset import load_dataset
 from training.export import PARITY_UM, parity
 
@@ -94,10 +95,11 @@ def test_parity_notices_another_network(tmp_path: Path) -> None:
     with torch.no_grad():
         net.linear.normal_()
     exported = export_onnx(net)
-    assert parity(net, exported, dataset) < PARITY_UM
+    sensors = SensorModel.fit(dataset.runs["r0"].telemetry.temperatures)
+    assert parity(net, exported, dataset, sensors) < PARITY_UM
     with torch.no_grad():
         net.linear[0, 0] += 0.1
-    assert parity(net, exported, dataset) > PARITY_UM
+    assert parity(net, exported, dataset, sensors) > PARITY_UM
 
 
 def test_sweeps_are_the_loop() -> None:

@@ -21,14 +21,14 @@ FOLDS = 5
 
 @dataclass(frozen=True)
 class Ridge:
-    """Ridge regression of every measured column on the current temperatures, the industrial standard.
+    """Ridge regression of every term on the metric's grid on the current temperatures, the industrial standard.
 
     For run-start data it maps temperature changes since the run's first sample, without intercept; for absolute
     data the temperatures, with one.
 
     Attributes
     ----------
-    weights : shape (S + 1, J), the intercept last
+    weights : shape (S + 1, G), the intercept last
     penalty : chosen by leaving out parts of the training data
     """
 
@@ -38,7 +38,7 @@ class Ridge:
     penalty: float
 
     def predict(self, run: MeasuredRun) -> Array:
-        """Return the measured columns of a run, shape (N, J) [µm, µrad]."""
+        """Return the terms of a run on the metric's grid, shape (N, G) [µm, µrad]."""
         return _features(self.dataset, self.sensor_model, run) @ self.weights
 
 
@@ -51,7 +51,7 @@ def fit_ridge(dataset: DataSet, split: Split, metric: TipMetric, sensor_model: S
     for name in split.train_runs:
         run, mask = dataset.runs[name], split.train[name]
         features.append(_features(dataset, sensor_model, run)[mask])
-        values.append(run.values[mask])
+        values.append(metric.sample(run.values[mask]))
         size = int(mask.sum())
         # Runs are left out whole; a single run is cut into stretches of time.
         group.append(np.arange(size) * FOLDS // size if single else np.full(size, len(group)))
@@ -89,7 +89,7 @@ class _NormalEquations:
             self._parts.append((columns, x[rows].T @ x[rows], x[rows].T @ y[np.ix_(rows, columns)]))
 
     def solve(self, penalty: float) -> Array:
-        """Return the ridge weights, shape (S + 1, J)."""
+        """Return the ridge weights, shape (S + 1, G)."""
         weights = np.zeros(self._shape)
         for columns, square, product in self._parts:
             damping = penalty * np.eye(len(square))

@@ -36,6 +36,7 @@ def train(
     """
     from training.job import train_bundle
 
+    _check_picture(picture)
     result = train_bundle(dataset, out, test_runs, seed)
     if picture is not None:
         result.draw(picture)
@@ -45,6 +46,7 @@ def train(
     from training.tables import print_scores
 
     print_scores(result.scores, f"{result.machine}, left out: {result.left_out}")
+    _print_note(result.note)
     click.echo(result.summary())
 
 
@@ -58,6 +60,7 @@ def evaluate(bundle: Path, dataset: Path, runs: list[str] | None, picture: Path 
     """Measure what the network of BUNDLE leaves of the tool tip's deviation on runs of DATASET."""
     from training.job import evaluate_bundle
 
+    _check_picture(picture)
     result = evaluate_bundle(bundle, dataset, runs)
     if picture is not None:
         result.draw(picture)
@@ -67,8 +70,21 @@ def evaluate(bundle: Path, dataset: Path, runs: list[str] | None, picture: Path 
     from training.tables import print_scores
 
     print_scores(result.scores, f"{result.machine}, {result.left_out}")
+    _print_note(result.note)
     if result.seen:
         click.echo(f"note: the bundle was trained on {', '.join(result.seen)}, so these figures flatter it", err=True)
+
+
+def _check_picture(path: Path | None) -> None:
+    if path is not None:
+        from training.picture import check_picture
+
+        check_picture(path)
+
+
+def _print_note(note: str) -> None:
+    if note:
+        click.echo(f"note: {note}", err=True)
 
 
 def _print_json(data: dict[str, Any]) -> None:

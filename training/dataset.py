@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from model.error_map import Row
+from model.error_map import ErrorMap, Row
 from model.error_tables import read_error_table
 from model.exceptions import DataError
 from model.machine import Machine, load_machine
@@ -126,11 +126,26 @@ def load_dataset(path: str | Path) -> DataSet:
             raise DataError(f"'{terms}': run '{name}' must have at least two times of measurement, got one")
         labelled[name] = MeasuredRun(run, time_s, values)
     geometry = find_table(path, "geometry")
-    rows = [] if geometry is None else read_error_table(geometry)
+    rows = [] if geometry is None else _read_geometry(geometry, machine)
     return DataSet(path, machine, datum, sensors, tuple(channels), columns, labelled, rows, _fingerprint(path))
 
 
 _TEXT = ("run", "term")
+LARGEST_UM = 1e6
+"""Larger errors, in µm or µrad, are no machine's (chosen): a metre is a wrong unit or a lost beam."""
+
+
+def _read_geometry(file: Path, machine: Machine) -> list[Row]:
+    rows = read_error_table(file)
+    ErrorMap.from_rows(machine, rows, f"'{file}'")
+    for number, (_, _, value) in enumerate(rows, start=1):
+        _check_size(value, f"'{file}'", number)
+    return rows
+
+
+def _check_size(value: float, where: str, row: int) -> None:
+    if abs(value) > LARGEST_UM:
+        raise DataError(f"{where}: value must lie within ±{LARGEST_UM:g} µm or µrad, got {value:g} in row {row}")
 
 
 def _fingerprint(path: Path) -> str:
@@ -144,10 +159,12 @@ def _fingerprint(path: Path) -> str:
 
 def _datum(path: Path) -> Datum:
     file = path / "dataset.toml"
-    if not file.is_file():
+    if not file.exists():
         return "run-start"
     try:
         data = tomllib.loads(file.read_text(encoding="utf-8"))
+    except OSError as problem:
+        raise DataError(f"'{file}' cannot be read: {problem.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
         raise DataError(f"'{file}' is not TOML: {problem}") from None
     return check(_DataSetFile, data, f"'{file}'", DataError).datum
@@ -165,6 +182,8 @@ def _read_terms(table: Table, machine: Machine) -> tuple[tuple[Column, ...], dic
         if not np.isfinite(numbers).all():
             row = int(np.argmin(np.isfinite(numbers)))
             raise DataError(f"{where}: {what} must be a finite number, got {numbers[row]} in row {row + 1}")
+    largest = int(np.argmax(np.abs(value)))
+    _check_size(float(value[largest]), where, largest + 1)
     # Columns in the machine's order of terms, then by position; an empty position sorts first.
     places, place = np.unique(np.where(np.isnan(position), -np.inf, position), return_inverse=True)
     rank = np.array([machine.term_index[name] for name in term.tolist()])
@@ -181,8 +200,9 @@ def _read_terms(table: Table, machine: Machine) -> tuple[tuple[Column, ...], dic
         cell = index.ravel() * len(columns) + column.ravel()[rows]
         if len(np.unique(cell)) < len(cell):
             first = rows[int(np.setdiff1d(np.arange(len(cell)), np.unique(cell, return_index=True)[1])[0])]
+            at = "" if np.isnan(position[first]) else f"position {position[first]:g} and "
             raise DataError(
-                f"{where}: {term[first]} at position {position[first]:g} and time {time_s[first]:g} stands twice in "
+                f"{where}: {term[first]} at {at}time {time_s[first]:g} stands twice in "
                 f"run '{name}', again in row {first + 1}; keep one"
             )
         values.ravel()[cell] = value[rows]

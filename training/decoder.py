@@ -55,7 +55,9 @@ def solve_decoder(samples: Samples, *, ridge: float, correlation_s: float, bias:
 
     Parameters
     ----------
-    ridge : noise variance over prior variance
+    ridge : penalty of a squared weight, beside the *mean* square of what the independent rows leave: it is added to
+        X'X / (their number). A noise variance over a prior variance would be added to X'X itself and fade as
+        measurements add up; this does not, since what the modes cannot say is no noise that averages out
     correlation_s : time over which what is left is correlated [s]
     bias : whether the deviations have an absolute zero that may differ from the network's
     """

@@ -18,7 +18,7 @@ from training.split import Mask
 from training.tip import TipMetric
 
 Method = Callable[[MeasuredRun], Array]
-"""Predicts the measured columns of a run, shape (N, J) [µm, µrad]."""
+"""Predicts the terms of a run on the metric's grid at the times of measurement, shape (N, G) [µm, µrad]."""
 
 NO_COMPENSATION, RIDGE, NETWORK = "no compensation", "ridge regression", "thermal network"
 
@@ -53,21 +53,26 @@ def compare(
     Raises
     ------
     DataError
-        where nothing was left out, or nothing there moves the tip.
+        where nothing was left out, no term moves the tip, or nothing there drifted.
     """
-    named: dict[str, Method] = {NO_COMPENSATION: lambda run: np.zeros_like(run.values), **methods}
-    squares: dict[str, dict[str, Array]] = {name: {} for name in named}
-    for run_name, mask in left_out.items():
-        if not mask.any():
-            continue
-        run = dataset.runs[run_name]
-        for name, method in named.items():
-            squares[name][run_name] = metric.mean_square((run.values - method(run))[mask])
-    if not squares[NO_COMPENSATION]:
+    if not metric.gram.max() > 0.0:
+        raise DataError(f"the measured terms of data set '{dataset.path}' must move the tool tip; none of them does")
+    scored = scored_rows(dataset, left_out, metric)
+    if not scored.masks:
         raise DataError(f"data set '{dataset.path}' must have measurements to test on, got none")
+    named: dict[str, Method] = {NO_COMPENSATION: lambda run: np.zeros((len(run.values), len(metric.gram))), **methods}
+    squares: dict[str, dict[str, Array]] = {name: {} for name in named}
+    for run_name, mask in scored.masks.items():
+        run = dataset.runs[run_name]
+        truth = metric.sample(run.values)
+        for name, method in named.items():
+            squares[name][run_name] = metric.mean_square((truth - method(run))[mask])
     base = _rms(squares[NO_COMPENSATION])
     if base == 0.0:
-        raise DataError(f"the measured terms of data set '{dataset.path}' must move the tool tip; none of them does")
+        raise DataError(
+            f"measurements to test on in data set '{dataset.path}' must show some drift, got values that leave the "
+            f"tool tip where it was in runs {', '.join(scored.masks)}"
+        )
     return {
         name: Score(
             rms_um=_rms(by_run),
@@ -77,6 +82,39 @@ def compare(
         )
         for name, by_run in squares.items()
     }
+
+
+@dataclass(frozen=True)
+class Scored:
+    """The left-out measurements that are scored.
+
+    Attributes
+    ----------
+    masks : per run; runs without any are not named
+    note : which of them are not scored, or how; empty where all show all terms
+    """
+
+    masks: dict[str, Mask]
+    note: str
+
+
+def scored_rows(dataset: DataSet, left_out: Mapping[str, Mask], metric: TipMetric) -> Scored:
+    """Return which left-out measurements are scored: those that show all terms.
+
+    Where none does, since the terms were measured at different times, each counts by the terms that it shows.
+    """
+    sampled = {name: metric.sample(dataset.runs[name].values) for name, mask in left_out.items() if mask.any()}
+    total = sum(int(left_out[name].sum()) for name in sampled)
+    whole = {name: left_out[name] & metric.whole(s) for name, s in sampled.items()}
+    part = {name: left_out[name] & np.isfinite(s).any(axis=1) for name, s in sampled.items()}
+    chosen = whole if any(mask.any() for mask in whole.values()) else part
+    masks = {name: mask for name, mask in chosen.items() if mask.any()}
+    count = sum(int(mask.sum()) for mask in masks.values())
+    if chosen is part and masks:
+        return Scored(masks, f"none of {total} measurements shows all terms: each is scored by the terms that it shows")
+    if count < total:
+        return Scored(masks, f"{total - count} of {total} measurements do not show all terms and are not scored")
+    return Scored(masks, "")
 
 
 def column_basis(fields: Fields, columns: tuple[Column, ...]) -> Array:
@@ -89,8 +127,10 @@ def column_basis(fields: Fields, columns: tuple[Column, ...]) -> Array:
     return basis
 
 
-def network_method(predictor: Predictor, dataset: DataSet) -> Method:
+def network_method(predictor: Predictor, dataset: DataSet, metric: TipMetric) -> Method:
     """Return the method that runs a bundle's network over a run, as the service would.
+
+    Its prediction is read at the positions that were measured at each time, as the truth is.
 
     Raises
     ------
@@ -118,7 +158,8 @@ def network_method(predictor: Predictor, dataset: DataSet) -> Method:
         coefficients = predictor.follow(chosen)
         if dataset.datum == "run-start":
             coefficients = coefficients - coefficients[0]
-        return run.between(coefficients) @ basis.T
+        columns = run.between(coefficients) @ basis.T
+        return metric.sample(np.where(np.isfinite(run.values), columns, np.nan))
 
     return predict
 

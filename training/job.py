@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from model.bundle import Bundle, load_bundle
+from model.bundle import Bundle, check_free, load_bundle
 from model.exceptions import DataError
 from model.predictor import Predictor
 from model.sensors import SensorModel
 from training.baselines import fit_ridge
 from training.dataset import DataSet, load_dataset, runs_named
-from training.evaluation import NETWORK, NO_COMPENSATION, RIDGE, Method, Score, compare, network_method
+from training.evaluation import NETWORK, NO_COMPENSATION, RIDGE, Method, Score, compare, network_method, scored_rows
 from training.export import write_network
 from training.settling import settling_time_s
 from training.split import Mask, Split, default_split, everything, split_by_run
@@ -35,6 +35,7 @@ class Result:
     left_out : which measurements those were
     tested : the same, run by run
     seen : of these, runs that the bundle was trained on
+    note : which of the left-out measurements are not scored, or how; empty where all are
     """
 
     machine: str
@@ -46,6 +47,7 @@ class Result:
     left_out: str
     tested: Mapping[str, Mask]
     seen: list[str]
+    note: str
 
     @property
     def test_runs(self) -> list[str]:
@@ -69,6 +71,7 @@ class Result:
             "left_out": self.left_out,
             "test_runs": self.test_runs,
             "trained_on": self.seen,
+            "note": self.note,
             "scores": {name: score.as_dict() for name, score in self.scores.items()},
         }
 
@@ -96,6 +99,7 @@ def train_bundle(path: Path, out: Path, test_runs: list[str] | None, seed: int) 
         for wrong data, before anything is written.
     """
     torch.set_num_threads(1)  # the tensors are small; threads would wait for each other
+    check_free(out)
     dataset = load_dataset(path)
     split = (
         default_split(dataset, seed)
@@ -103,22 +107,24 @@ def train_bundle(path: Path, out: Path, test_runs: list[str] | None, seed: int) 
         else split_by_run(dataset, runs_named(dataset, test_runs, "--test-runs"))
     )
     metric = tip_metric(dataset)
+    compare(dataset, split.test, {}, metric)  # is there something to test on? That is better known before training
     settings = Settings(seed=seed)
     final = everything(dataset) if test_runs is None else split
     trained = _Trained(dataset, split, metric, settings)
     with tempfile.TemporaryDirectory() as folder:
         predictor = Predictor(trained.write(Path(folder) / "bundle", settling_s=0.0, test={}))
     ridge = fit_ridge(dataset, split, metric, trained.sensor_model)
-    methods = {RIDGE: ridge.predict, NETWORK: network_method(predictor, dataset)}
+    methods = {RIDGE: ridge.predict, NETWORK: network_method(predictor, dataset, metric)}
     scores = compare(dataset, split.test, methods, metric)
     settling_s = settling_time_s(predictor, dataset, metric)
     if test_runs is None:
         trained = _Trained(dataset, final, metric, settings, trained.verdict)
-    test = {"left_out": split.description, "scores": {name: s.as_dict() for name, s in scores.items()}}
+    note = scored_rows(dataset, split.test, metric).note
+    test = {"left_out": split.description, "note": note, "scores": {name: s.as_dict() for name, s in scores.items()}}
     bundle = trained.write(out, settling_s=settling_s, test=test)
     seen = split.test_runs if test_runs is None else []
     left_out = split.description
-    return Result(dataset.machine.name, bundle, dataset, metric, methods, scores, left_out, split.test, seen)
+    return Result(dataset.machine.name, bundle, dataset, metric, methods, scores, left_out, split.test, seen, note)
 
 
 class _Trained:
@@ -151,6 +157,7 @@ class _Trained:
             self._training.net,
             self._training.fields,
             self.sensor_model,
+            self._split.train_runs,
             settling_time_s=settling_s,
             training={
                 "dataset": dataset.path.name,
@@ -181,11 +188,12 @@ def evaluate_bundle(path: Path, dataset_path: Path, runs: list[str] | None) -> R
         )
     chosen = list(dataset.runs) if runs is None else runs_named(dataset, runs, "--runs")
     metric = tip_metric(dataset)
-    methods = {NETWORK: network_method(Predictor(bundle), dataset)}
+    methods = {NETWORK: network_method(Predictor(bundle), dataset, metric)}
     left_out = {name: np.ones(len(dataset.runs[name].time_s), dtype=bool) for name in chosen}
     scores = compare(dataset, left_out, methods, metric)
     trained = bundle.manifest.training.get("runs", [])
     same = bundle.manifest.training.get("dataset_sha256") == dataset.fingerprint
     seen = [name for name in chosen if same and name in trained]
     description = f"runs {', '.join(chosen)}" if runs is not None else f"all {len(chosen)} runs"
-    return Result(bundle.machine.name, bundle, dataset, metric, methods, scores, description, left_out, seen)
+    note = scored_rows(dataset, left_out, metric).note
+    return Result(bundle.machine.name, bundle, dataset, metric, methods, scores, description, left_out, seen, note)

@@ -7,30 +7,27 @@ from numpy.typing import NDArray
 
 from model.fields import Fields
 from model.transforms import Array
-from training.dataset import Column
-from training.evaluation import column_basis
+from training.coverage import Coverage, by_pattern
 
 SMOOTHNESS = 1e-4
 """Penalty of a coefficient, times its degree to the fourth (the energy of bending), beside the mean square of the
 measured positions. It decides only what the positions leave open, such as a cubic through three points."""
 
 
-def to_coefficients(values: Array, columns: tuple[Column, ...], fields: Fields) -> Array:
+def to_coefficients(values: Array, coverage: Coverage, fields: Fields) -> Array:
     """Return the coefficients (N, P) of measured columns (N, J), NaN for terms that a time does not show.
 
-    Each term is fitted by least squares to the positions measured at that time. A term counts as shown where at
-    least half of its positions are there.
+    Each term is fitted by least squares to the positions measured at that time.
     """
-    basis = column_basis(fields, columns)
     coefficients = np.full((len(values), fields.size), np.nan)
     for name, where in fields.slices().items():
-        mine = np.array([j for j, (term, _) in enumerate(columns) if term == name])
-        known = np.isfinite(values[:, mine])
-        enough = known.sum(axis=1) * 2 >= len(mine)
-        for pattern in np.unique(known[enough], axis=0):
-            rows = enough & (known == pattern).all(axis=1)
-            shown = mine[pattern]
-            coefficients[rows, where] = values[np.ix_(rows, shown)] @ _fit(basis[shown, where]).T
+        reach = coverage[name]
+        known = np.isfinite(values[:, reach.columns])
+        shown = np.flatnonzero(reach.shown(known))
+        basis = fields.basis(name, reach.positions)
+        for pattern, rows in by_pattern(known[shown]):
+            measured = values[np.ix_(shown[rows], reach.columns[pattern])]
+            coefficients[shown[rows], where] = measured @ _fit(basis[pattern]).T
     return coefficients
 
 

@@ -8,10 +8,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from model.exceptions import DataError
 from model.fields import Fields
 from model.network import InputScale, ThermalNetwork
 from model.sensors import SensorModel
 from model.transforms import Array
+from training.coverage import Coverage
 from training.dataset import DataSet, interpolation
 from training.labels import to_coefficients
 from training.split import Mask
@@ -65,9 +67,20 @@ def input_scale(dataset: DataSet, train_runs: list[str], sensor_model: SensorMod
 
 
 def collect(
-    net: ThermalNetwork, dataset: DataSet, masks: dict[str, Mask], fields: Fields, sensor_model: SensorModel
+    net: ThermalNetwork,
+    dataset: DataSet,
+    masks: dict[str, Mask],
+    coverage: Coverage,
+    fields: Fields,
+    sensor_model: SensorModel,
 ) -> Samples:
-    """Run the network's modes over whole runs and take out the measurements of the masks."""
+    """Run the network's modes over whole runs and take out the measurements of the masks.
+
+    Raises
+    ------
+    DataError
+        where they never show one of the terms.
+    """
     parts: list[Samples] = []
     for number, (name, mask) in enumerate(masks.items()):
         if not mask.any():
@@ -82,8 +95,15 @@ def collect(
         right = np.minimum(left + 1, len(features) - 1)
         at = features[left] * (1.0 - weight[:, None]) + features[right] * weight[:, None]
         first = np.broadcast_to(features[0] if dataset.datum == "run-start" else 0.0 * features[0], at.shape)
-        targets = to_coefficients(run.values[mask], dataset.columns, fields)
+        targets = to_coefficients(run.values[mask], coverage, fields)
         parts.append(Samples(at - first, first, targets, np.full(len(at), number), run.time_s[mask]))
-    return Samples(
+    samples = Samples(
         *(np.concatenate([getattr(p, f) for p in parts]) for f in ("features", "first", "targets", "run", "time_s"))
     )
+    for name, where in fields.slices().items():
+        if not np.isfinite(samples.targets[:, where]).any():
+            raise DataError(
+                f"measurements to train on must show {name}, got it in the left-out part of '{dataset.path}' alone; "
+                "leave out other runs (--test-runs)"
+            )
+    return samples

@@ -20,7 +20,7 @@ def settling_time_s(predictor: Predictor, dataset: DataSet, metric: TipMetric) -
     A service that is switched on with a warm machine takes the thermal modes to be in equilibrium, which they are
     not; this is how long that is felt, averaged over the runs. The longest half run, where it never settles.
     """
-    basis = column_basis(predictor.fields, dataset.columns)
+    basis = metric.from_columns(column_basis(predictor.fields, dataset.columns))
     times: list[float] = []
     for measured in dataset.runs.values():
         run = measured.telemetry

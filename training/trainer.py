@@ -32,7 +32,8 @@ class Settings:
     ----------
     prior : sizes and time constants of the modes
     degree : of the motion terms' Chebyshev series
-    ridge : of the linear decoder, noise variance over prior variance
+    ridge : of the linear decoder, penalty of a squared weight beside the mean square that an independent measurement
+        leaves; it does not fade as measurements add up (see `decoder.solve_decoder`)
     correlation_s : time over which the decoder's residual is taken to be correlated [s]
     hidden, steps, learning_rate, weight_decay : of the nonlinear residual
     folds : parts that the training data is cut into to find out whether the residual helps
@@ -95,14 +96,16 @@ def train_network(
 
     Raises
     ------
+    DataError
+        where the training part never shows one of the terms.
     ComputeError
         where the decoder is not finite.
     """
     fields = Fields(dataset.machine, dataset.terms, settings.degree)
     scale = input_scale(dataset, split.train_runs, sensor_model)
     net = ThermalNetwork(scale, settings.prior, fields.size)
-    samples = collect(net, dataset, split.train, fields, sensor_model)
-    basis = column_basis(fields, dataset.columns)
+    samples = collect(net, dataset, split.train, metric.coverage, fields, sensor_model)
+    basis = metric.from_columns(column_basis(fields, dataset.columns))
     decoder = _Decoder(settings, basis.T @ metric.gram @ basis, bias=dataset.datum == "absolute")
     folds = _folds(samples, settings.folds) if verdict is None else []
     with Reporter("training", settings.steps * (len(folds) + 1)) as reporter:
