@@ -19,6 +19,9 @@ RESIDUAL_MM = 1e-6
 CONVERGED_MM, CONVERGED_RAD = 1e-9, 1e-12
 """Where Newton stops: a thousandth of what is promised, which one further step usually costs."""
 MAX_ITERATIONS = 30
+ROTARY_ITERATIONS = 24
+"""From then on the rotary axes rest, so that the linear ones can finish: near a pole, where the correction fades, a
+knot of an error table can keep them swinging between its two sides for ever."""
 CHUNK = 8192
 """Positions worked on at once, so that memory stays flat: about 30 MB for a machine of 42 terms."""
 SINGULAR = 0.02
@@ -106,11 +109,11 @@ class _Solver:
         wanted_tip, wanted = self._chain.pose(q, None, self._tool_mm)
         wanted_axis = wanted @ self._along
         corrected = q.copy()
-        for _ in range(MAX_ITERATIONS):
+        for iteration in range(MAX_ITERATIONS):
             tip, turned = self._chain.pose(corrected, self._errors.evaluate(corrected), self._tool_mm)
             miss = tip - wanted_tip
             tilt = np.cross(turned @ self._along, wanted_axis)  # turns the tool axis back, to first order
-            step = self._step(q, corrected, miss, tilt, wanted_axis)
+            step = self._step(q, corrected, miss, tilt, wanted_axis, resting=iteration >= ROTARY_ITERATIONS)
             residual: Array = np.linalg.norm(miss, axis=1)
             rotary = np.abs(step[:, self._rotary] / self._per_rad).max(initial=0.0)
             if np.abs(step[:, self._linear]).max(initial=0.0) <= CONVERGED_MM and rotary <= CONVERGED_RAD:
@@ -119,11 +122,13 @@ class _Solver:
         self._check(q, residual)
         return corrected, residual, np.arcsin(np.clip(np.linalg.norm(tilt, axis=1), 0.0, 1.0))
 
-    def _step(self, q: Array, corrected: Array, miss: Array, tilt: Array, wanted_axis: Array) -> Array:
+    def _step(
+        self, q: Array, corrected: Array, miss: Array, tilt: Array, wanted_axis: Array, *, resting: bool
+    ) -> Array:
         """Return how to change the coordinates, shape (n, A)."""
         jacobian = self._jacobian(corrected)
         step = np.zeros_like(q)
-        if self._rotary:
+        if self._rotary and not resting:
             by_rad = jacobian[:, 3:, self._rotary] * self._per_rad
             by_rad = by_rad - wanted_axis[..., None] * (wanted_axis[:, None, :] @ by_rad)  # turns about the tool: none
             already = (corrected - q)[:, self._rotary] / self._per_rad

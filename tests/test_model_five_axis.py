@@ -90,6 +90,24 @@ def test_near_a_pole_the_table_does_not_jump_and_the_remainder_is_told() -> None
     assert jumps.max() < 1.0  # a step of 0.025 degree in A; without fading C would swing by 180 degrees
 
 
+@pytest.mark.parametrize("chain", CHAINS[:4])
+def test_close_to_a_pole_knots_of_a_table_do_not_keep_the_tip_from_its_place(chain: Chain) -> None:
+    """Random tables with many knots; poses within two degrees of where the first rotary axis loses its effect."""
+    rng = np.random.default_rng(12)
+    machine = chain.machine
+    rows: list[tuple[str, float | None, float]] = []
+    for term in machine.terms:
+        if term.kind == "motion":
+            axis = machine.axes[term.axis]
+            knots = np.linspace(axis.low, axis.high, 41)
+            rows += [(term.name, float(p), float(rng.uniform(-300, 300))) for p in knots]
+    errors = ErrorMap.from_rows(machine, rows)
+    q = poses(chain, 200, rng)
+    rotary = [i for i, a in enumerate(machine.axis_names) if machine.axes[a].rotary]
+    q[:, rotary[0]] = np.linspace(-2.0, 2.0, 200)
+    assert compensate(chain, q, errors).residual_mm.max() <= 1e-6
+
+
 def test_kept_axes_stay_and_the_tilt_remains() -> None:
     rng = np.random.default_rng(5)
     chain = CHAINS[0]
