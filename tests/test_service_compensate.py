@@ -1,5 +1,4 @@
 import math
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,19 +10,6 @@ from model.error_map import ErrorMap
 
 HOUR = 3600.0
 CORNERS = [{"X": x, "Y": y, "Z": z} for x in (0.0, 800.0) for y in (0.0, 500.0) for z in (0.0, 499.0)]
-
-
-@pytest.fixture
-def service() -> Iterator[Service]:
-    with serving() as running:
-        yield running
-
-
-@pytest.fixture
-def replayed() -> Iterator[Service]:
-    """A service whose clock is the times in requests."""
-    with serving(replay=True) as running:
-        yield running
 
 
 def test_without_telemetry_only_the_geometric_errors_are_corrected(service: Service) -> None:

@@ -1,12 +1,11 @@
 """Every error is a problem with one clear sentence."""
 
 import json
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
-from service_client import MIDDLE, NOON, TINY, TINY_URL, Service, assert_problem, sample, serving
+from service_client import MIDDLE, NOON, TINY, TINY_URL, Service, assert_problem, sample
 
 from model.bundle import load_bundle
 from model.exceptions import InputError
@@ -16,19 +15,6 @@ from service.schemas import MAX_POSITIONS_PER_REQUEST, MAX_SAMPLES_PER_REQUEST
 from service.settings import Settings
 
 JSON = {"content-type": "application/json"}
-
-
-@pytest.fixture
-def service() -> Iterator[Service]:
-    with serving() as running:
-        yield running
-
-
-@pytest.fixture
-def replayed() -> Iterator[Service]:
-    """A service whose clock is the times in requests."""
-    with serving(replay=True) as running:
-        yield running
 
 
 def positions(**changed: Any) -> dict[str, Any]:

@@ -1,4 +1,3 @@
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -13,19 +12,6 @@ from model.bundle import load_bundle
 from model.exceptions import ComputeError
 from service.app import create_app
 from service.settings import Settings
-
-
-@pytest.fixture
-def service() -> Iterator[Service]:
-    with serving() as running:
-        yield running
-
-
-@pytest.fixture
-def replayed() -> Iterator[Service]:
-    """A service whose clock is the times in requests."""
-    with serving(replay=True) as running:
-        yield running
 
 
 def test_samples_may_come_in_any_order_and_twice() -> None:

@@ -1,0 +1,18 @@
+from collections.abc import Iterator
+
+import pytest
+from service_client import Service, serving
+
+
+@pytest.fixture
+def service() -> Iterator[Service]:
+    """The tiny machine, served in the test's own process."""
+    with serving() as running:
+        yield running
+
+
+@pytest.fixture
+def replayed() -> Iterator[Service]:
+    """The same, with the times in requests as its clock."""
+    with serving(replay=True) as running:
+        yield running
