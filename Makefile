@@ -7,7 +7,7 @@ DEV_VENV := .venv-test
 CHECK_PYTHON_LINE = $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { echo "thermotrue needs Python 3.11 or newer, got $$($(PYTHON) --version 2>/dev/null || echo "no '$(PYTHON)'"); name another: make PYTHON=python3.12"; exit 1; }
 PIP_FLAGS := --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: help run test bundle warm lint types imports unit format picture clean
+.PHONY: help run test bundle warm lint types imports unit format clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/'
