@@ -1,6 +1,7 @@
 """Make the demo machine's bundle, its hour of telemetry and the README's picture again, from seeds and code.
 
-`make bundle` runs it; it takes about a minute and writes the same bytes each time.
+`make bundle` runs it; it takes about a minute and writes the same each time: data byte for byte,
+the network to the rounding of the processor and its number of threads.
 """
 
 import csv
