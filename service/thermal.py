@@ -15,10 +15,11 @@ from model.exceptions import ComputeError
 from model.machine import Machine
 from model.manifest import NetworkRecord
 from model.predictor import Predictor, ThermalState
+from model.terms import UM
 from model.transforms import Array
 from service.guard import Track, judge
 from service.reliability import beyond, freshness_weight, range_weight, replacement_weight
-from service.safety import is_usable
+from service.safety import LARGEST_TERM
 from service.schemas import Sample
 from service.settings import Settings
 from service.status import Condition, Status
@@ -96,7 +97,8 @@ class Thermal:
             self.failure = str(problem)
             log.error("network failed", extra={"reason": self.failure})
             return False
-        if not is_usable(self.predictor.error_map(state)):
+        # A series is nowhere larger than the sum of its coefficients; the map itself is built once a request.
+        if not np.abs(state.coefficients).sum() * UM < LARGEST_TERM:
             self.failure = "the error terms predicted from it are beyond any machine's"
             log.error("prediction not usable", extra={"reason": self.failure})
             return False
@@ -111,7 +113,7 @@ class Thermal:
         """Return the channels to use, shape (C,): a missing or implausible one keeps its last value for a while.
 
         After `HOLD_S` it counts as zero, as one that was never given does: a spindle that is taken to run for hours
-        when it stands is far worse than one that is not heard of (bench/missing_channels.py).
+        when it stands is worse than one that is not heard of (bench/missing_channels.py).
         """
         channels = np.zeros(len(self.predictor.channels))
         held: dict[str, str] = {}

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -180,7 +181,8 @@ def test_an_unusable_prediction_leaves_the_last_correction(service: Service, mon
     broken = ErrorMap.zero(service.state.machine)
     broken.location[0] = math.nan
     with monkeypatch.context() as patch:
-        patch.setattr(thermal.predictor, "error_map", lambda state: broken)
+        step = thermal.predictor.step
+        patch.setattr(thermal.predictor, "step", lambda *a: replace(step(*a), coefficients=np.full(4, 1e12)))
         assert service.telemetry(sample(NOON + 30.0, 25.0))["ignored"] == 1
         told = "the newest sample was not used: the error terms predicted from it are beyond any machine's"
         reply = service.compensate()
