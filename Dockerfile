@@ -7,14 +7,19 @@ COPY model model
 COPY training training
 COPY service service
 COPY data_synth data_synth
+# The per-position path is compiled here, so that no start waits for it; a processor of another kind compiles it anew.
+ENV NUMBA_CACHE_DIR=/opt/thermotrue/compiled
 RUN python3 -m venv /opt/thermotrue \
- && /opt/thermotrue/bin/python -m pip install --quiet --no-cache-dir --constraint constraints.txt .
+ && /opt/thermotrue/bin/python -m pip install --quiet --no-cache-dir --constraint constraints.txt . \
+ && cd / && /opt/thermotrue/bin/python -c 'import model.kernel' \
+ && chown -R 10001 /opt/thermotrue/compiled
 
 FROM ${PYTHON_IMAGE}
 RUN useradd --system --uid 10001 --no-create-home thermotrue
 COPY --from=build /opt/thermotrue /opt/thermotrue
 COPY demo/vmc3 /bundles/vmc3
-ENV PATH=/opt/thermotrue/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1
+ENV PATH=/opt/thermotrue/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1 \
+    NUMBA_CACHE_DIR=/opt/thermotrue/compiled
 USER 10001
 EXPOSE 8000
 HEALTHCHECK --interval=5s --timeout=3s --start-period=20s \

@@ -49,6 +49,7 @@ $(SERVE_VENV)/.installed: pyproject.toml constraints.txt
 	@echo "installing the service into $(SERVE_VENV) (once, about half a minute)"
 	@$(PYTHON) -m venv $(SERVE_VENV)
 	@$(SERVE_VENV)/bin/python -m pip install $(PIP_FLAGS) --editable .
+	@$(SERVE_VENV)/bin/python -c 'import model.kernel'  # compiled and kept now, so that no start waits for it
 	@touch $@
 
 $(DEV_VENV)/.installed: pyproject.toml constraints.txt
@@ -56,4 +57,5 @@ $(DEV_VENV)/.installed: pyproject.toml constraints.txt
 	@echo "installing everything, torch included, into $(DEV_VENV) (once, a few minutes)"
 	@$(PYTHON) -m venv $(DEV_VENV)
 	@$(DEV_VENV)/bin/python -m pip install $(PIP_FLAGS) --editable '.[train,dev]'
+	@$(DEV_VENV)/bin/python -c 'import model.kernel'
 	@touch $@

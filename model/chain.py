@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from model.exceptions import MachineError
-from model.machine import Machine
+from model.machine import Axis, Machine
 from model.structure import path_to
 from model.terms import DIRECTIONS
 from model.transforms import (
@@ -79,11 +79,27 @@ class Chain:
         work_path = path_to(machine.bodies, self._workpiece)
         tool_path = path_to(machine.bodies, self._tool)
         self._order = sorted({*work_path, *tool_path})  # a body stands behind its lower body
+        self.tool_path = tuple(i for i in tool_path if i not in work_path)
+        """Bodies that carry the tool and not the workpiece, from the bed outwards."""
+        self.work_path = tuple(i for i in work_path if i not in tool_path)
+        """Bodies that carry the workpiece and not the tool, from the bed outwards."""
         # A body under both workpiece and tool moves them together, and its errors cancel.
         self._sign = {i: (i in tool_path) - (i in work_path) for i in self._order}
         self._columns = {i: (self._slots(i, "motion"), self._slots(i, "location")) for i in self._order}
         self._axis = {i: machine.axes[b.axis] for i, b in enumerate(machine.bodies) if b.axis is not None}
         self._to_internal = np.array([machine.axes[a].to_internal for a in machine.axis_names])
+
+    def axis_of(self, body: int) -> Axis | None:
+        """Return the axis that moves a body, if one does."""
+        return self._axis.get(body)
+
+    def location_of(self, body: int, location: Array) -> Array | None:
+        """Return a body's six location terms, where it has them, out of all: those of an `ErrorMap`, shape (L,)."""
+        slots = self._columns[body][1]
+        if slots is None:
+            return None
+        first = self.machine.location_columns.index(slots.start)
+        return location[first : first + len(DIRECTIONS)]
 
     def tip(self, q: Array, e: Array | None = None, tool_mm: Array | None = None, form: Form = "exact") -> Array:
         """Return the tool tip in the workpiece frame, shape (n, 3); without `e`, the ideal one: P."""

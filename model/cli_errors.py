@@ -92,20 +92,20 @@ def compensate(
     place to 1 nm of the exact chain, and tilt_urad: the angle of the tool axis that the machine has no rotary axis to
     remove, or too little of one near a singular pose.
     """
-    from model.compensation import RESIDUAL_MM
-    from model.compensation import compensate as solve
+    from model.compensation import RESIDUAL_MM, Compensator
     from model.positions import coordinates
     from model.streams import Chunk, transform
     from model.terms import UM, URAD
 
     chain, error_map, tool_mm = _prepare(machine, errors, tool_length, tool, relative_to)
     kept = [name.strip() for name in keep.split(",") if name.strip()]
+    compensator = Compensator(chain, error_map, tool_mm, kept)
     outside = first_outside = 0
     furthest_mm = 0.0
 
     def corrections(chunk: Chunk) -> dict[str, Any]:
         nonlocal outside, first_outside, furthest_mm
-        found = solve(chain, coordinates(chunk, chain.machine), error_map, tool_mm, kept)
+        found = compensator.compensate(coordinates(chunk, chain.machine))
         furthest_mm = max(furthest_mm, float(found.residual_mm.max(initial=0.0)))
         if found.outside.any():
             first_outside = first_outside or chunk.first + int(found.outside.argmax()) + 1

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from machines import ARRANGEMENTS, machine_text
 
 from model.chain import Chain
-from model.compensation import CHUNK, compensate
+from model.compensation import SHARE, compensate
 from model.error_map import ErrorMap
 from model.exceptions import ComputeError
 from model.machine import Machine, parse_machine
@@ -69,7 +69,7 @@ def test_chunks_do_not_show() -> None:
     chain = CHAINS[0]
     rng = np.random.default_rng(5)
     errors = random_errors(chain.machine, rng, 0.01)
-    q = rng.uniform([0, -250, 0], [800, 250, 500], (CHUNK + 3, 3))
+    q = rng.uniform([0, -250, 0], [800, 250, 500], (SHARE + 3, 3))
     whole = compensate(chain, q, errors)
     tail = compensate(chain, q[-5:], errors)
     np.testing.assert_allclose(whole.corrected[-5:], tail.corrected, atol=1e-9)

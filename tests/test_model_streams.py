@@ -277,7 +277,7 @@ def command(name: str, positions: str, out: str) -> list[str]:
 
 
 def test_ctrl_c_leaves_nothing_half_written(folder: Path) -> None:
-    (folder / "long.csv").write_bytes(b"X,Y,Z\n" + b"100.001,50.002,20.003\n" * 1_000_000)
+    (folder / "long.csv").write_bytes(b"X,Y,Z\n" + b"100.001,50.002,20.003\n" * 4_000_000)  # some seconds' work
     before = {p.name for p in folder.iterdir()}
     with subprocess.Popen(command("compensate", "long.csv", "out.csv"), cwd=folder, stderr=subprocess.PIPE) as process:
         part = None

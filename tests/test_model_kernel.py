@@ -1,0 +1,220 @@
+"""The compiled path: it obeys the NumPy chain, position by position, and is never compiled when a request waits."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from machines import five_axis_text, machine_text
+from test_model_compensation import random_errors
+from test_model_five_axis import CHAINS, poses
+
+from model import kernel, kernel_cache
+from model.chain import Chain
+from model.compensation import SHARE, Compensator, compensate
+from model.error_map import ErrorMap
+from model.exceptions import DataError
+from model.kernel import LANES
+from model.kernel_plan import LARGEST_RAD, plan
+from model.machine import Machine, load_machine, parse_machine, preset
+
+PRESETS = sorted(p.stem for p in preset("vmc3").parent.glob("*.toml"))
+
+
+def uneven_errors(machine: Machine, rng: np.random.Generator) -> ErrorMap:
+    """Return terms of up to 1 mm and 1 mrad at few knots, some close together, some far from the ends of the axis."""
+    rows: list[tuple[str, float | None, float]] = []
+    for term in machine.terms:
+        if term.kind == "location":
+            rows.append((term.name, None, rng.uniform(-1000, 1000)))
+            continue
+        axis = machine.axes[term.axis]
+        span = axis.high - axis.low
+        knots = np.unique(np.round(rng.uniform(axis.low + 0.1 * span, axis.high, rng.integers(1, 9)), 2))
+        value = rng.uniform(-500, 500)
+        for k, p in enumerate(knots):
+            value += 0.0 if k == 0 else rng.uniform(-1, 1) * min(300.0, 3000.0 * (p - knots[k - 1]) / span)
+            rows.append((term.name, float(p), value))
+    return ErrorMap.from_rows(machine, rows)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=6)
+def test_it_looks_terms_up_as_the_error_map_does(name: str, seed: int) -> None:
+    """On, between and beyond knots; the chain in NumPy is the judge."""
+    rng = np.random.default_rng(seed)
+    chain = Chain(load_machine(preset(name)))
+    errors = uneven_errors(chain.machine, rng)
+    q = poses(chain, 40, rng)
+    for column, axis in enumerate(chain.machine.axis_names):
+        on_knot = rng.random(len(q)) < 0.3
+        q[on_knot, column] = rng.choice(errors.knots[axis], on_knot.sum())
+    kept = chain.machine.axis_names  # nothing may move, so what is left is the deviation itself
+    found = compensate(chain, q, errors, keep=kept)
+    deviation = chain.deviation(q, errors.evaluate(q))
+    np.testing.assert_array_equal(found.corrected, q)
+    np.testing.assert_allclose(found.residual_mm, np.linalg.norm(deviation.position_mm, axis=1), atol=1e-10)
+    free = compensate(chain, q, errors)
+    tip = chain.tip(free.corrected, errors.evaluate(free.corrected))
+    np.testing.assert_allclose(tip, chain.tip(q), atol=1e-6)
+
+
+def test_knots_closer_than_a_cell_are_found() -> None:
+    """Two knots a micrometre apart on an axis of 800 mm: a step, as tables of pitch errors have them."""
+    chain = Chain(parse_machine(machine_text("w Y b X Z t")))
+    values = [(0.0, 0.0), (400.0, 8.0), (400.001, 20.0), (400.002, 5.0), (800.0, 5.0)]
+    errors = ErrorMap.from_rows(chain.machine, [("EYX", p, v) for p, v in values])
+    q = np.zeros((9, 3))
+    q[:, 0] = [-5.0, 0.0, 200.0, 400.0, 400.0005, 400.001, 400.0015, 400.002, 900.0]
+    found = compensate(chain, q, errors)
+    expected = np.interp(q[:, 0], *zip(*values, strict=True))
+    np.testing.assert_allclose(q[:, 1] - found.corrected[:, 1], expected * 1e-3, atol=1e-9)
+
+
+@given(st.sampled_from(CHAINS), st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=20)
+def test_a_position_does_not_depend_on_its_neighbours(chain: Chain, seed: int) -> None:
+    """Not on those it shares a block with, not on their order, not on the number of threads."""
+    rng = np.random.default_rng(seed)
+    compensator = Compensator(chain, random_errors(chain.machine, rng))
+    q = poses(chain, 3 * LANES - 7, rng)
+    whole = compensator.compensate(q)
+    order = rng.permutation(len(q))
+    np.testing.assert_allclose(compensator.compensate(q[order]).corrected, whole.corrected[order], atol=1e-7)
+    for i in rng.integers(0, len(q), 5):
+        alone = compensator.compensate(q[i : i + 1])
+        np.testing.assert_allclose(alone.corrected[0], whole.corrected[i], atol=1e-7)
+
+
+def test_threads_change_nothing() -> None:
+    rng = np.random.default_rng(3)
+    compensator = Compensator(CHAINS[0], random_errors(CHAINS[0].machine, rng, 0.05))
+    q = poses(CHAINS[0], 2 * SHARE + 77, rng)
+    one, three = compensator.compensate(q, threads=1), compensator.compensate(q, threads=3)
+    for name in ("corrected", "residual_mm", "tilt_rad", "outside"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(three, name))
+
+
+QUILL = ("w b X Y Z B W t", "w b X Y Z C B W t", "w W C b X Y Z A t")
+"""Linear axes on rotary ones, on either side."""
+
+
+def quill_chain(structure: str) -> Chain:
+    ranges = {"W": (-150.0, 150.0), "A": (-100.0, 100.0), "B": (-100.0, 100.0), "C": (-360.0, 360.0)}
+    axes = "".join(
+        f"[axes.{a}]\nrange = {list(ranges.get(a, (0.0, 500.0)))}\n"
+        + ("direction = [0.0, 0.0, 1.0]\n" if a == "W" else "")
+        for a in structure.split()
+        if a not in "wbt"
+    )
+    return Chain(parse_machine(f'name = "quill"\nstructure = "{structure}"\n{axes}[tool]\nerrors = true\n'))
+
+
+@pytest.mark.parametrize("structure", QUILL)
+def test_a_linear_axis_on_a_rotary_one_is_used_where_it_points(structure: str) -> None:
+    chain = quill_chain(structure)
+    rng = np.random.default_rng(9)
+    errors = random_errors(chain.machine, rng)
+    q = poses(chain, 200, rng)
+    for keep in ((), ("Z",)):
+        found = compensate(chain, q, errors, keep=keep)
+        tip = chain.tip(found.corrected, errors.evaluate(found.corrected))
+        left = np.linalg.norm(tip - chain.tip(q), axis=1)
+        np.testing.assert_allclose(found.residual_mm, left, atol=1e-9)
+        names = [a for a in chain.machine.axis_names if not chain.machine.axes[a].rotary and a not in keep]
+        columns = [chain.machine.axis_names.index(a) for a in names]
+        reach = np.linalg.svd(chain.jacobian(found.corrected)[:, :3, columns], compute_uv=False).min(axis=1)
+        assert (left[reach > 0.1] <= 1e-6).all()
+        assert (reach > 0.1).any()
+        moved = np.abs(found.corrected - q)[:, columns]
+        assert moved.max() <= 20.0 / kernel.SINGULAR  # bounded where the quill lies across what it should undo
+
+
+def test_what_is_not_a_number_is_refused() -> None:
+    chain = Chain(parse_machine(machine_text("w Y b X Z t")))
+    errors = random_errors(chain.machine, np.random.default_rng(1))
+    q = np.zeros((SHARE + 5, 3))
+    q[SHARE + 3, 1] = np.nan
+    with pytest.raises(DataError, match=f"coordinates must be finite numbers, got others in row {SHARE + 4}"):
+        compensate(chain, q, errors)
+    with pytest.raises(DataError, match="motion terms of axis 'X' must be finite"):
+        compensate(chain, np.zeros((1, 3)), errors.scaled(np.nan))
+    with pytest.raises(DataError, match=r"angles within ±0.1 rad, got 0.2"):
+        compensate(chain, np.zeros((1, 3)), ErrorMap.from_rows(chain.machine, [("EAX", 0.0, 2e6 * LARGEST_RAD)]))
+
+
+def test_large_coordinates_stay_in_the_tables() -> None:
+    """Whatever a coordinate, a table is looked up within its bounds: there it is constant."""
+    chain = Chain(parse_machine(machine_text("w Y b X Z t")))
+    errors = ErrorMap.from_rows(chain.machine, [("EXX", 0.0, 10.0), ("EXX", 800.0, 20.0)])
+    found = compensate(chain, np.array([[1e12, 0.0, 0.0], [-1e12, 0.0, 0.0]]), errors, keep=("X", "Y", "Z"))
+    np.testing.assert_allclose(found.residual_mm, [0.020, 0.010], atol=1e-3)  # a double at 1e12 carries 0.1 µm
+
+
+def test_small_and_large_angles_have_the_sines_they_should() -> None:
+    """A rotary axis through several turns, and error angles up to the largest taken."""
+    chain = Chain(parse_machine(five_axis_text("w C A Y X b Z t")))
+    rng = np.random.default_rng(2)
+    c = chain.machine.axis_names.index("C")
+    q = poses(chain, 500, rng)
+    q[:, c] = np.concatenate([rng.uniform(-2000, 2000, 468), np.arange(-720, 720, 45)])
+    for size in (1.0, 0.999 * LARGEST_RAD / 1e-3):
+        errors = random_errors(chain.machine, rng, size)
+        found = compensate(chain, q, errors, keep=chain.machine.axis_names)
+        deviation = chain.deviation(q, errors.evaluate(q))
+        np.testing.assert_allclose(
+            found.residual_mm, np.linalg.norm(deviation.position_mm, axis=1), rtol=1e-12, atol=1e-10
+        )
+
+
+def test_nothing_is_compiled_while_positions_wait() -> None:
+    """Every argument has the type that was compiled at import, whatever the machine."""
+    compiled = len(kernel.solve.signatures)
+    for chain in (CHAINS[0], Chain(load_machine(preset("vmc3"))), quill_chain(QUILL[0])):
+        errors = ErrorMap.zero(chain.machine)
+        for q in (poses(chain, 3, np.random.default_rng(0)), np.zeros((0, len(chain.machine.axis_names)))):
+            compensate(chain, np.asfortranarray(q), errors)
+            plan(chain, errors, None)
+    assert compiled == len(kernel.solve.signatures) == 1
+
+
+COUNT = (
+    "import model.kernel as k; print(sum(k.solve.stats.cache_hits.values()), sum(k.solve.stats.cache_misses.values()))"
+)
+
+
+def test_what_was_compiled_is_kept_and_a_read_only_folder_is_copied(tmp_path: Path) -> None:
+    """First start compiles, the second loads; where the folder cannot be written to, a copy of it is loaded."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kept"), "TMPDIR": str(tmp_path)}
+
+    def start(code: str = COUNT) -> str:
+        done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+        return done.stdout.strip()
+
+    assert start() == "0 1"
+    assert start() == "1 0"
+    # A superuser may write anywhere, so the folder is only said to be read-only.
+    denied = "import os; os.access = lambda *a, **k: False; "
+    told = "; from numba.core import config; print(config.CACHE_DIR)"
+    count, folder = start(denied + COUNT + told).splitlines()
+    assert count == "1 0"
+    assert Path(folder).parent == tmp_path
+    assert folder != environment["NUMBA_CACHE_DIR"]
+    assert [p.name for p in tmp_path.iterdir()] == ["kept"]  # the copy went with its process
+
+
+def test_without_any_folder_it_still_runs(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    def refuses(*args: object, **options: object) -> object:
+        if options.get("cache"):
+            raise RuntimeError("cannot cache function 'f': no locator available")
+        return lambda function: function
+
+    monkeypatch.setattr(kernel_cache.numba, "njit", refuses)
+    assert kernel_cache.kept("void()")(shutil.rmtree) is shutil.rmtree
+    assert "set NUMBA_CACHE_DIR to a writable folder" in caplog.text
