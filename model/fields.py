@@ -1,6 +1,8 @@
-"""Fields: how a motion term runs along its axis, as a short Chebyshev series.
+"""Fields: how a motion term runs along its axis, as a short series.
 
-E_k(p, t) = Σ_d c_kd(t) T_d(ξ), with ξ = -1 ... 1 over the axis' range; a location term is one coefficient.
+E_k(p, t) = Σ_d c_kd(t) φ_d(p): Chebyshev polynomials T_d(ξ), with ξ = -1 ... 1 over the axis' range; for a rotary
+axis of half a turn or more 1, cos p, sin p, cos 2p, sin 2p ..., since what turns with a table comes once per turn. A
+location term is one coefficient.
 """
 
 from __future__ import annotations
@@ -10,13 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from model.error_map import ErrorMap
-from model.machine import Machine
-from model.terms import DIRECTIONS
+from model.machine import Axis, Machine
+from model.terms import DIRECTIONS, Term
 from model.transforms import Array
 
 GRID_POINTS = 161
 """Knots of a tabulated motion term. Between them the map is linear; for a cubic with an amplitude of 100 µm (100 T₃)
 that stays within 0.05 µm: its curvature is 24 at the ends, so the gap is 24/8 · (2/160)² of it."""
+GRID_DEG = 2.0
+"""Knots of a series of harmonics are at most so far apart: for an amplitude of 100 µm twice a turn the gap is
+(2 GRID_DEG)²/8 of it, 0.06 µm."""
+HALF_TURN_DEG = 180.0
 
 
 @dataclass(frozen=True)
@@ -27,7 +33,7 @@ class Fields:
     ----------
     machine : gives the axes' ranges
     terms : names of the terms that have coefficients
-    degree : highest Chebyshev degree of a motion term
+    degree : highest Chebyshev degree of a motion term; harmonics reach to half of it, rounded up
     """
 
     machine: Machine
@@ -36,7 +42,7 @@ class Fields:
 
     def widths(self) -> list[int]:
         """Return the number of coefficients of each term, in order."""
-        return [self.degree + 1 if self.machine.term(t).kind == "motion" else 1 for t in self.terms]
+        return [self._width(self.machine.term(t)) for t in self.terms]
 
     @property
     def size(self) -> int:
@@ -52,13 +58,27 @@ class Fields:
         }
 
     def basis(self, term: str, positions: Array) -> Array:
-        """Return φ of a term at positions of shape (m,) [mm], as an array of shape (m, width)."""
+        """Return φ of a term at positions of shape (m,) [mm, degree], as an array of shape (m, width)."""
         described = self.machine.term(term)
         if described.kind == "location":
             return np.ones((len(positions), 1))
         axis = self.machine.axes[described.axis]
+        if turns(axis):
+            angle = np.deg2rad(np.clip(positions, axis.low, axis.high))[:, None]
+            harmonics = np.arange(1, self._harmonics + 1) * angle
+            pairs = np.stack([np.cos(harmonics), np.sin(harmonics)], axis=-1).reshape(len(positions), -1)
+            return np.concatenate([np.ones((len(positions), 1)), pairs], axis=1)
         xi = (2.0 * positions - axis.low - axis.high) / (axis.high - axis.low)
         return np.asarray(np.polynomial.chebyshev.chebvander(np.clip(xi, -1.0, 1.0), self.degree), dtype=float)
+
+    @property
+    def _harmonics(self) -> int:
+        return (self.degree + 1) // 2
+
+    def _width(self, term: Term) -> int:
+        if term.kind == "location":
+            return 1
+        return 1 + 2 * self._harmonics if turns(self.machine.axes[term.axis]) else self.degree + 1
 
     def evaluate(self, coefficients: Array, q: Array) -> Array:
         """Return all K error terms [mm, rad] at positions q, each with its own coefficients.
@@ -66,7 +86,7 @@ class Fields:
         Parameters
         ----------
         coefficients : shape (n, size) [µm, µrad]
-        q : shape (n, A) [mm]
+        q : shape (n, A) [mm, degree]
 
         Returns
         -------
@@ -86,8 +106,9 @@ class Fields:
         knots: dict[str, Array] = {}
         motion: dict[str, Array] = {}
         for name, axis in self.machine.axes.items():
-            knots[name] = np.linspace(axis.low, axis.high, GRID_POINTS)
-            motion[name] = np.zeros((6, GRID_POINTS))
+            points = int(np.ceil((axis.high - axis.low) / GRID_DEG)) + 1 if turns(axis) else 0
+            knots[name] = np.linspace(axis.low, axis.high, max(points, GRID_POINTS))
+            motion[name] = np.zeros((6, len(knots[name])))
         location = np.zeros(len(self.machine.terms))
         for name, where in slices.items():
             term = self.machine.term(name)
@@ -97,3 +118,8 @@ class Fields:
                 values = self.basis(name, knots[term.axis]) @ coefficients[where]
                 motion[term.axis][DIRECTIONS.index(term.direction)] = values * term.to_internal
         return ErrorMap(self.machine, knots, motion, location[self.machine.location_columns])
+
+
+def turns(axis: Axis) -> bool:
+    """Return whether an axis' terms are a series of harmonics: it is rotary and reaches half a turn."""
+    return axis.rotary and axis.high - axis.low >= HALF_TURN_DEG

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from machines import machine_text
+from machines import five_axis_text, machine_text
 
 from model.fields import GRID_POINTS, Fields
 from model.machine import parse_machine
@@ -53,3 +53,31 @@ def test_halving_the_grid_quarters_the_gap() -> None:
         direct = FIELDS.basis("EXX", fine) @ series
         gaps.append(np.abs(np.interp(fine, knots, FIELDS.basis("EXX", knots) @ series) - direct).max())
     assert np.log2(gaps[0] / gaps[1]) == pytest.approx(2.0, abs=0.1)
+
+
+TABLE = parse_machine(five_axis_text("w C A Y X b Z t"))
+
+
+def test_what_comes_once_and_twice_a_turn_is_in_the_series_of_a_table() -> None:
+    """C reaches 720 degrees, of which no short polynomial follows two turns; any phase, and the same a turn on."""
+    fields = Fields(TABLE, ("EZC", "EAC", "EXX", "EX0C"), 3)
+    assert fields.widths() == [5, 5, 4, 1]
+    p = np.linspace(-360.0, 360.0, 200)
+    for phase in (0.3, 2.0):
+        wanted = 4.0 + 7.0 * np.cos(np.deg2rad(p) + phase) - 2.0 * np.sin(2 * np.deg2rad(p) + phase)
+        basis = fields.basis("EZC", p)
+        found = np.linalg.lstsq(basis, wanted)[0]
+        np.testing.assert_allclose(basis @ found, wanted, atol=1e-12)
+    on = p[p > 0.0]
+    np.testing.assert_allclose(fields.basis("EZC", on - 360.0), fields.basis("EZC", on), atol=1e-12)
+
+
+def test_the_table_of_harmonics_stays_close_between_its_knots() -> None:
+    fields = Fields(TABLE, ("EZC",), 4)
+    q = np.zeros((5001, 5))
+    q[:, TABLE.axis_names.index("C")] = np.linspace(-360.0, 360.0, len(q))
+    for k in range(fields.size):
+        coefficients = np.zeros(fields.size)
+        coefficients[k] = 100.0
+        direct = fields.evaluate(np.tile(coefficients, (len(q), 1)), q)
+        assert np.abs(fields.tabulate(coefficients).evaluate(q) - direct).max() <= 0.07e-3
