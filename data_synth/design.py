@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from data_synth.cycles import Capability
+from data_synth.capability import Capability
 from data_synth.fields import Fields
 from data_synth.geometric import NORMAL, Workmanship
 from data_synth.heat import Source
@@ -28,7 +28,12 @@ class Structure(Protocol):
 
 @dataclass(frozen=True)
 class Design:
-    """A thermal design, by the name of the machine it belongs to."""
+    """A thermal design, by the name of the machine it belongs to.
+
+    Attributes
+    ----------
+    layering : how much of the climate's layering it feels; more than 1 for a machine that reaches higher up
+    """
 
     name: str
     network: Network
@@ -37,6 +42,7 @@ class Design:
     thermometers: Mapping[str, Thermometer]
     capability: Capability
     workmanship: Workmanship = NORMAL
+    layering: float = 1.0
 
     def heat(self, programme: Programme, conditions: Iterable[Array] | None = None) -> Array:
         """Return the heat into each node over a programme, shape (n, N) [W].

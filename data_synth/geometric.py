@@ -1,18 +1,23 @@
 """Geometric (cold) errors: what a machine has from assembly, at its reference temperature.
 
-A motion error is a smooth polynomial of the axis' position; straightness brings its slope as an angle; a
-positioning error adds the screw's harmonic once a turn; location errors hold the squareness of assembly.
+A linear axis' motion error is a smooth polynomial of its position; straightness brings its slope as an angle; a
+positioning error adds the screw's harmonic once a turn. A rotary axis' are harmonics of its angle: along its line and
+about it from once per turn, across it from twice, since once per turn and a constant are where the line stands and
+where the body sits on it. Location errors hold the squareness of assembly; in the composition "seed", where they turn
+no path, the straightness has the slope too, and the paper's secondary terms are small.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import Legendre, Polynomial
 
 from data_synth.network import Array
-from model.machine import Machine
+from model.machine import Axis, Machine
+from model.term_classes import squareness_terms
 
 
 @dataclass(frozen=True)
@@ -20,7 +25,16 @@ class Workmanship:
     """Typical size of each kind of cold error: a machining centre of normal accuracy.
 
     Chosen: a third to a half of what acceptance tests of such machines tolerate, some 20 µm in positioning and
-    straightness over a metre and 40 µrad in squareness.
+    straightness over a metre and 40 µrad in squareness. A rotary table's angle within some ±5 arcseconds (25 µrad),
+    its run-out some micrometres.
+
+    Attributes
+    ----------
+    pitch_mm : lead of the screws
+    angle_urad, axial_um, radial_um, tilt_urad : of a rotary axis
+    secondary : size of the secondary location terms in the composition "seed", as a share of the others': two to
+        three orders of magnitude below the motion terms (su2001.txt, section 3.3)
+    points, step_degree : number of positions on a linear axis, largest step on a rotary one
     """
 
     positioning_um: float = 8.0
@@ -30,7 +44,13 @@ class Workmanship:
     pitch_mm: float = 16.0
     location_um: float = 5.0
     squareness_urad: float = 18.0
+    angle_urad: float = 10.0
+    axial_um: float = 1.5
+    radial_um: float = 1.5
+    tilt_urad: float = 5.0
+    secondary: float = 0.005
     points: int = 26
+    step_degree: float = 15.0
 
 
 NORMAL = Workmanship()
@@ -47,7 +67,17 @@ class Row:
 
 def geometry(machine: Machine, rng: np.random.Generator, quality: Workmanship = NORMAL) -> tuple[Row, ...]:
     """Return the cold errors of one machine, in the order of its terms [µm, µrad]."""
-    curves = {axis: _axis(axis, machine, rng, quality) for axis in machine.axis_names}
+    seed = machine.composition == "seed"
+    square = (
+        {name: float(rng.normal(0.0, quality.squareness_urad)) for name in squareness_terms(machine)} if seed else {}
+    )
+    curves = {}
+    for name in machine.axis_names:
+        axis = machine.axes[name]
+        if axis.rotary:
+            curves[name] = _rotary(axis, rng, quality)
+        else:
+            curves[name] = _linear(axis, rng, quality, _slope(axis, square))
     rows = []
     for term in machine.terms:
         if term.kind == "motion":
@@ -56,16 +86,25 @@ def geometry(machine: Machine, rng: np.random.Generator, quality: Workmanship = 
                 Row(term.name, round(float(p), 6), round(float(v), 4))
                 for p, v in zip(at, values[term.direction], strict=True)
             ]
+        elif term.name in square:
+            rows.append(Row(term.name, None, round(square[term.name], 4)))
         else:
             spread = quality.squareness_urad if term.angular else quality.location_um
+            spread *= quality.secondary if seed else 1.0
             rows.append(Row(term.name, None, round(float(rng.normal(0.0, spread)), 4)))
     return tuple(rows)
 
 
-def _axis(
-    name: str, machine: Machine, rng: np.random.Generator, quality: Workmanship
+def _slope(axis: Axis, square: Mapping[str, float]) -> Array:
+    """Return the slope of an axis' path by its squareness, shape (3,) [µrad]."""
+    turned = np.array([square.get(f"E{letter}0{axis.name}", 0.0) for letter in "ABC"])
+    slope: Array = np.cross(turned, axis.direction)
+    return slope
+
+
+def _linear(
+    axis: Axis, rng: np.random.Generator, quality: Workmanship, slope_urad: Array
 ) -> tuple[Array, dict[str, Array]]:
-    axis = machine.axes[name]
     at = np.linspace(axis.low, axis.high, quality.points)
     d = np.array(axis.direction)
     along = int(np.argmax(np.abs(d)))
@@ -73,7 +112,7 @@ def _axis(
     slopes = np.zeros((3, len(at)))
     values: dict[str, Array] = {}
     for k, shift in shifts.items():
-        values["XYZ"[k]] = shift(at)
+        values["XYZ"[k]] = shift(at) + 1e-3 * slope_urad[k] * at
         slopes[k] = 1e3 * shift.deriv()(at)  # µm/mm to µrad
     turn = np.cross(d, slopes, axisb=0, axisc=0)  # the body turns as its path does
     turn[along] = _smooth(axis.low, axis.high, quality.roll_urad, 1, rng)(at)
@@ -81,6 +120,30 @@ def _axis(
     pitch = wave * np.sin(2 * np.pi * at / quality.pitch_mm + phase)
     values["XYZ"[along]] = _smooth(axis.low, axis.high, quality.positioning_um, 1, rng)(at) + pitch
     return at, {**values, **dict(zip("ABC", turn, strict=True))}
+
+
+def _rotary(axis: Axis, rng: np.random.Generator, quality: Workmanship) -> tuple[Array, dict[str, Array]]:
+    steps = int(np.ceil((axis.high - axis.low) / quality.step_degree))
+    at = np.linspace(axis.low, axis.high, max(quality.points, steps + 1))
+    along = int(np.argmax(np.abs(axis.direction)))
+    values: dict[str, Array] = {}
+    for letters, across, own in (
+        ("XYZ", quality.radial_um, quality.axial_um),
+        ("ABC", quality.tilt_urad, quality.angle_urad),
+    ):
+        for k, letter in enumerate(letters):
+            values[letter] = _harmonics(at, own if k == along else across, 1 if k == along else 2, rng)
+    return at, values
+
+
+def _harmonics(at_degree: Array, size: float, lowest: int, rng: np.random.Generator) -> Array:
+    """Return a random sum of three harmonics of the angle from `lowest` on, each half the one before."""
+    total = np.zeros(len(at_degree))
+    for k in range(3):
+        cosine, sine = size * 0.5**k * rng.normal(size=2)
+        angle = np.radians((lowest + k) * at_degree)
+        total += cosine * np.cos(angle) + sine * np.sin(angle)
+    return total
 
 
 def _smooth(low: float, high: float, size: float, lowest: int, rng: np.random.Generator) -> Polynomial:

@@ -15,6 +15,7 @@ import numpy as np
 from data_synth.network import Array
 from data_synth.programme import Programme
 from data_synth.screw import Screw
+from model.structure import ROTARY_AXES
 
 
 class Source(Protocol):
@@ -83,15 +84,15 @@ class SpindleSource:
 
 @dataclass(frozen=True)
 class FeedSource:
-    """Heat by the feed of one axis (0, 1, 2 for X, Y, Z), onto nodes by share."""
+    """Heat by the feed of one axis [mm/min, degree/min], onto nodes by share."""
 
-    axis: int
+    axis: str
     law: Law
     onto: Mapping[str, float]
 
     def add(self, power_W: Array, programme: Programme, node: Mapping[str, int], condition: Array) -> None:
         """See `Source`."""
-        heat = condition * self.law.power(programme.feed_mm_per_min[:, self.axis])
+        heat = condition * self.law.power(programme.feed_per_min[:, programme.column(self.axis)])
         for name, share in self.onto.items():
             power_W[:, node[name]] += share * heat
 
@@ -111,9 +112,9 @@ class StrokeSource:
 
     def add(self, power_W: Array, programme: Programme, node: Mapping[str, int], condition: Array) -> None:
         """See `Source`."""
-        axis = self.screw.axis
-        heat = condition * self.share * self.law.power(programme.feed_mm_per_min[:, axis])
-        covered = self.coverage(programme.stroke_low_mm[:, axis], programme.stroke_high_mm[:, axis])
+        column = programme.column(self.screw.axis)
+        heat = condition * self.share * self.law.power(programme.feed_per_min[:, column])
+        covered = self.coverage(programme.stroke_low[:, column], programme.stroke_high[:, column])
         for k, name in enumerate(self.screw.nodes):
             power_W[:, node[name]] += heat * covered[:, k]
 
@@ -124,6 +125,71 @@ class StrokeSource:
         inside = np.minimum(ends[:, 1:], edges[1:]) - np.maximum(ends[:, :1], edges[:-1])
         shares: Array = np.clip(inside, 0.0, None) / (ends[:, 1:] - ends[:, :1])
         return shares
+
+
+@dataclass(frozen=True)
+class AccelerationSource:
+    """Copper losses of an axis' motor while it speeds up and brakes, onto nodes by share.
+
+    While it does, the motor's current is m a / k and its loss (m a / k)² R. Between the ends of its stroke L the
+    axis travels at its rapid feed V and rests in between, so that v is its mean: v / L strokes per second, each
+    with two changes of speed that last V / a, or √(L / a) where the stroke is too short to reach V. So the motor
+    accelerates for the share 2 (v / L) min(V / a, √(L / a)) of the time, at most all of it.
+
+    Attributes
+    ----------
+    moved : mass that it accelerates, screw and rotor included [kg]; a rotary axis' inertia [kg m²]
+    acceleration : [m/s², rad/s²]
+    per_ampere : force or torque per current, k [N/A, N m/A]
+    ohm : resistance of the winding, R
+    rapid_per_min : V [mm/min, degree/min]
+    """
+
+    axis: str
+    onto: Mapping[str, float]
+    moved: float
+    acceleration: float
+    per_ampere: float
+    ohm: float
+    rapid_per_min: float
+
+    def add(self, power_W: Array, programme: Programme, node: Mapping[str, int], condition: Array) -> None:
+        """See `Source`."""
+        column = programme.column(self.axis)
+        stroke = programme.stroke_high[:, column] - programme.stroke_low[:, column]
+        heat = condition * self.loss_W() * self.duty(programme.feed_per_min[:, column], stroke)
+        for name, share in self.onto.items():
+            power_W[:, node[name]] += share * heat
+
+    def loss_W(self) -> float:
+        """Return the loss while it accelerates."""
+        return (self.moved * self.acceleration / self.per_ampere) ** 2 * self.ohm
+
+    def duty(self, feed_per_min: Array, stroke: Array) -> Array:
+        """Return the share of the time in which it accelerates at these mean feeds and lengths of stroke."""
+        a = self.acceleration * (180.0 / np.pi if self.axis in ROTARY_AXES else 1e3)  # mm/s², degree/s²
+        change_s = np.minimum(self.rapid_per_min / 60.0 / a, np.sqrt(stroke / a))
+        share: Array = np.minimum(1.0, 2.0 * feed_per_min / 60.0 / stroke * change_s)
+        return share
+
+
+@dataclass(frozen=True)
+class SpindleStartSource:
+    """Losses of a spindle motor that runs up from standstill and brakes again, as at each change of tool.
+
+    Both times the rotor's energy J ω² / 2 passes through the motor, which keeps a share of it as heat.
+    """
+
+    onto: Mapping[str, float]
+    inertia_kg_m2: float
+    lost: float
+
+    def add(self, power_W: Array, programme: Programme, node: Mapping[str, int], condition: Array) -> None:
+        """See `Source`."""
+        omega = programme.speed_rpm * (2.0 * np.pi / 60.0)
+        heat = condition * self.lost * self.inertia_kg_m2 * omega**2 * programme.starts / programme.period_s
+        for name, share in self.onto.items():
+            power_W[:, node[name]] += share * heat
 
 
 @dataclass(frozen=True)

@@ -5,16 +5,24 @@ from __future__ import annotations
 from pathlib import Path
 
 from data_synth.design import Design
+from data_synth.gantry3 import GANTRY3
+from data_synth.hmc4 import HMC4
 from data_synth.run import Shop
+from data_synth.seed3 import SEED3
+from data_synth.siblings import parse, renamed, sibling, sibling_name
+from data_synth.trunnion5 import TRUNNION5
 from data_synth.vmc3 import VMC3
 from model.exceptions import InputError, MachineError
-from model.machine import Machine, load_machine, preset
+from model.machine import Machine, load_machine, parse_machine, preset
 
-DESIGNS: dict[str, Design] = {design.name: design for design in (VMC3,)}
+DESIGNS: dict[str, Design] = {design.name: design for design in (VMC3, SEED3, HMC4, TRUNNION5, GANTRY3)}
 
 
 def open_shop(machine: str) -> Shop:
     """Return the machine of that name, or of that description, with its thermal design.
+
+    A name may end in the number of a sibling: `vmc3~3` is the machine `vmc3-3`, under which its description, data sets
+    and bundles then go; that spelling is accepted, too.
 
     Raises
     ------
@@ -22,16 +30,23 @@ def open_shop(machine: str) -> Shop:
         where there is no design for it, or the description changes what the design rests on.
     """
     path = Path(machine)
-    if path.suffix != ".toml" and not path.exists():
-        if machine not in DESIGNS:
-            raise _unknown(machine)
-        path = preset(machine)
-    described = load_machine(path)
-    if described.name not in DESIGNS:
-        raise _unknown(described.name)
-    design = DESIGNS[described.name]
-    _check(described, load_machine(preset(described.name)), design)
+    if path.suffix == ".toml" or path.exists():
+        described = load_machine(path)
+        base, number = _known(described.name)
+    else:
+        base, number = _known(machine)
+        text = preset(base).read_text(encoding="utf-8")
+        described = parse_machine(renamed(text, sibling_name(base, number)), f"machine '{machine}'")
+    design = sibling(DESIGNS[base], number)
+    _check(described, load_machine(preset(base)), design)
     return Shop.of(described, design)
+
+
+def _known(name: str) -> tuple[str, int]:
+    found = parse(name, DESIGNS)
+    if found is None:
+        raise _unknown(name)
+    return found
 
 
 def _unknown(name: str) -> InputError:

@@ -29,6 +29,8 @@ class Material:
 CAST_IRON = Material(10.5e-6, 500.0, 50.0)  # grey iron GJL-300, EN 1561 annex: 10 to 11.5e-6, 460 to 535, 45 to 50
 STEEL = Material(11.7e-6, 460.0, 45.0)  # bearing and screw steel, [inc]: 11.5 to 12e-6, 434 to 477, 40 to 60
 
+LINING_PER_K = 4e-5  # moulded epoxy slideway lining; filled epoxies 30 to 60e-6 (chosen within)
+
 COOLANT_J_PER_KG_K = 4000.0  # 5 % emulsion, close to water's 4180 [inc]
 
 STILL_FILM_W_PER_M2_K = 8.0  # natural convection 3 to 5 and radiation 5, painted walls near 20 °C [vdi]

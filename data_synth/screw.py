@@ -13,24 +13,30 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_synth.beam import along_line
+from data_synth.beam import Vector
+from data_synth.drive import strain
 from data_synth.network import Array
 
 
 @dataclass(frozen=True)
 class Screw:
-    """One screw along coordinate `axis` (0, 1, 2), in the frame of the part that holds it.
+    """One screw along coordinate `along` (0, 1, 2), in the frame of the body that holds it.
 
     Attributes
     ----------
+    axis : name of the axis that it drives
     nut_at_zero_mm, nut_sign : the nut stands at nut_at_zero + sign * p when the axis is at p
     fixed_mm, far_mm : coordinates of the fixed and of the far bearing
     nodes, edges_mm : its nodes and the ends of the pieces they stand for, rising
     held : share of its expansion that two stiff bearings take up while it is stretched
     stretch_K : rise that uses up the stretch; 0 for a screw that is free at its far end
+    on : part of that body that holds the bearings; "" is where the carriage runs
+    line_mm : a point of its line in that body's frame (its coordinate `along` does not matter); None is the
+        carriages' own line, so that no tilt of the body is taken for travel
     """
 
-    axis: int
+    axis: str
+    along: int
     nut_at_zero_mm: float
     nut_sign: int
     fixed_mm: float
@@ -40,6 +46,8 @@ class Screw:
     expansion_per_K: float
     held: float = 0.0
     stretch_K: float = 0.0
+    on: str = ""
+    line_mm: Vector | None = None
 
     @property
     def centres_mm(self) -> tuple[float, ...]:
@@ -51,13 +59,27 @@ class Screw:
         return self.nut_at_zero_mm + self.nut_sign * position_mm
 
     def nut_shift(self, nut_mm: Array, node: Mapping[str, int]) -> Array:
-        """Return the shift of a nut at these coordinates relative to the fixed bearing, shape (n, N) [mm/K]."""
-        ends = np.append(nut_mm, self.fixed_mm)
-        _, once, _ = along_line(self.centres_mm, ends)
-        shift = np.zeros((len(nut_mm), len(node)))
-        columns = [node[name] for name in self.nodes]
-        shift[:, columns] = self.expansion_per_K * (once[:-1] - once[-1])
+        """Return the shift of a nut at these coordinates relative to the fixed bearing, shape (n, N) [mm/K].
+
+        Where `node` has a column for this screw's relief, it holds the shift per mm of that.
+        """
+        shift = strain(self, nut_mm, node)
+        if self.relief_name in node:
+            shift[:, node[self.relief_name]] = self.push(nut_mm)
         return shift
+
+    @property
+    def relief_name(self) -> str:
+        """The name of its relief among the causes of displacement."""
+        return f"relief of {self.nodes[0]}"
+
+    def rider_mm(self, position_mm: Array) -> Array:
+        """See `Drive`."""
+        return self.nut_mm(position_mm)
+
+    def rider_shift(self, position_mm: Array, node: Mapping[str, int]) -> Array:
+        """See `Drive`."""
+        return self.nut_shift(self.nut_mm(position_mm), node)
 
     def growth(self, node: Mapping[str, int]) -> Array:
         """Return the growth from bearing to bearing, shape (N,) [mm/K]."""

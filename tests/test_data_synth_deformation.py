@@ -136,7 +136,7 @@ def test_a_uniform_rise_is_pure_expansion():
     for k, (axis, sign) in enumerate((("X", -1), ("Y", -1), ("Z", 1))):
         across = [j for j in range(3) if j != k]
         np.testing.assert_allclose(got.motion[axis][:, across], 0.0, atol=1e-9)
-        slope = np.diff(got.motion[axis][0, k]) / np.diff(got.positions_mm[axis])
+        slope = np.diff(got.motion[axis][0, k]) / np.diff(got.positions[axis])
         np.testing.assert_allclose(slope, slope[0], rtol=1e-9)
         if axis == "Z":  # the free screw; the stretched ones yield to the difference between steel and iron
             assert slope[0] == pytest.approx(1e3 * sign * STEEL.expansion_per_K)

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from scipy.integrate import simpson
 
+from data_synth.machines import DESIGNS
 from data_synth.network import REST, Film, Link, Network, OperatingPoint
 from data_synth.vmc3 import VMC3
 
@@ -87,8 +88,10 @@ def test_a_film_grows_with_speed_to_two_thirds():
     assert added[1] / added[0] == pytest.approx(4.0)
 
 
-def test_every_node_reaches_the_air():
-    between, to_boundary = VMC3.network.conductances(REST)
+@pytest.mark.parametrize("name", tuple(DESIGNS))
+def test_every_node_reaches_the_air(name):
+    between, to_boundary = DESIGNS[name].network.conductances(REST)
     assert np.linalg.eigvalsh(between).min() > 0.0
     np.testing.assert_allclose(between.sum(axis=1), to_boundary.sum(axis=1), atol=1e-9)
     np.testing.assert_allclose(between, between.T)
+    assert DESIGNS[name].network.capacity().min() > 0.0

@@ -5,16 +5,19 @@ import pytest
 
 from data_synth import cycles
 from data_synth.card import RunSummary
-from data_synth.environment import SHOP as CLIMATE
+from data_synth.climates import CONDITIONED
+from data_synth.climates import SHOP as CLIMATE
+from data_synth.clock import MONDAY_MORNING
 from data_synth.environment import lag, surroundings, wander
 from data_synth.geometric import NORMAL, geometry
 from data_synth.heat import BearingFriction, StrokeSource
 from data_synth.machines import open_shop
-from data_synth.run import run_kind, run_name, simulate
+from data_synth.run import channels, run_kind, run_name, simulate
 from data_synth.sensors import Thermometer
 from data_synth.tip import tip_deviation
 from data_synth.vmc3_structure import SCREWS
 from model.chain import Chain
+from model.exceptions import InputError
 
 SHOP = open_shop("vmc3")
 
@@ -39,24 +42,10 @@ def test_a_run_does_not_depend_on_runs_before_it():
     np.testing.assert_array_equal(alone.nodes_degC, simulate(fresh, run_name(3), run_kind(3), (5, 3), 1.0).nodes_degC)
 
 
-@pytest.mark.parametrize("kind", cycles.CYCLES)
-def test_a_duty_cycle_stays_within_what_the_machine_can(kind):
-    capability = SHOP.design.capability
-    got = cycles.make(kind, capability, 10.0, np.random.default_rng(0))
-    assert len(got) == 600
-    assert got.speed_rpm.min() >= 0.0
-    assert got.speed_rpm.max() <= capability.top_rpm
-    assert got.speed_rpm.max() + got.feed_mm_per_min.max() > 0.0
-    low, high = np.array(capability.strokes_mm).T
-    assert (got.stroke_low_mm >= low - 1e-9).all()
-    assert (got.stroke_high_mm <= high + 1e-9).all()
-    assert (got.stroke_high_mm > got.stroke_low_mm).all()
-    assert (got.load >= 0.0).all()
-
-
-def test_production_comes_twice_as_often_as_each_test():
-    assert set(cycles.ORDER) == set(cycles.CYCLES)
-    assert [run_name(i) for i in (0, 7, 12)] == ["r00_shop", "r07_night", "r12_shop"]
+def test_a_run_is_named_by_its_number_and_cycle():
+    assert [run_name(i) for i in (0, 7, 24)] == ["r00_shop", "r07_night", "r24_shop"]
+    assert run_name(3, ("axes", "etve")) == "r03_etve"
+    assert run_kind(4, ("axes", "etve")) == "axes"
 
 
 def test_bearing_friction_grows_as_speed_to_five_thirds():
@@ -69,7 +58,7 @@ def test_bearing_friction_grows_as_speed_to_five_thirds():
 def test_the_screw_is_warmed_where_the_nut_runs(screw):
     source = StrokeSource(screw, BearingFriction(1, 1.0, 1.0, 1.0, 1.0), 1.0)
     rng = np.random.default_rng(0)
-    low, high = SHOP.design.capability.strokes_mm[screw.axis]
+    low, high = SHOP.design.capability.strokes[screw.axis]
     ends = np.sort(rng.uniform(low, high, (50, 2)), axis=1)
     shares = source.coverage(ends[:, 0], ends[:, 1])
     np.testing.assert_allclose(shares.sum(axis=1), 1.0)
@@ -107,7 +96,7 @@ def test_the_halls_wandering_does_not_depend_on_the_period(period_s):
 
 
 def test_air_is_warmer_above_and_the_hall_is_a_hall():
-    air = surroundings(CLIMATE, 1440, 60.0, np.random.default_rng(0))
+    air = surroundings(CLIMATE, MONDAY_MORNING, 1440, 60.0, np.random.default_rng(0))
     _, right, high, _, _ = air.T
     assert (high - right).mean() > 0.0
     assert ((air > 5.0) & (air < 40.0)).all()
@@ -117,6 +106,50 @@ def test_runs_start_partly_warm(runs):
     spread = [np.ptp(run.nodes_degC[0]) for run in runs]
     assert np.median(spread) > 1.0
     assert np.std(spread) > 0.3
+
+
+@pytest.mark.parametrize("kind", cycles.order(SHOP.machine))
+def test_a_run_begins_in_the_hours_of_its_cycle(kind):
+    clocks = [simulate(SHOP, "r", kind, (1, i), 0.2).clock for i in range(3)]
+    assert len(set(clocks)) == 3
+    windows = cycles.find(kind).hours
+    assert all(any(low <= clock.hour_of_week <= high for low, high in windows) for clock in clocks)
+
+
+def test_what_stood_for_a_day_begins_cold_and_what_worked_does_not():
+    motor = SHOP.design.network.index()["motor"]
+
+    def warm_K(kind, wanted=lambda clock: True):
+        """Return by how much the spindle motor is warmer than the machine when a run begins."""
+        starts = [simulate(SHOP, "r", kind, (2, i), 0.2, climate=CONDITIONED) for i in range(12)]
+        return [run.nodes_degC[0, motor] - np.median(run.nodes_degC[0]) for run in starts if wanted(run.clock)]
+
+    for cold in (warm_K("etve"), warm_K("weekend", lambda clock: clock.hour_of_week < 24.0)):
+        assert len(cold) > 2
+        assert max(cold) < 0.5
+    assert max(warm_K("shop")) > 2.0
+
+
+def test_an_unknown_cycle_gets_a_hint():
+    with pytest.raises(InputError, match=r"^unknown duty cycle 'shops'; did you mean 'shop'"):
+        simulate(SHOP, "r", "shops", (1, 0), 1.0)
+
+
+def test_a_machine_without_rotary_axes_does_not_turn_them():
+    with pytest.raises(
+        InputError, match=r"^duty cycle 'rotary' must have a rotary axis to move, got X, Y, Z; leave it"
+    ):
+        simulate(SHOP, "r", "rotary", (1, 0), 1.0)
+
+
+def test_channels_are_named_by_the_machines_axes():
+    assert channels(SHOP.machine) == ("spindle_rpm", "feed_x", "feed_y", "feed_z", "coolant_on")
+    five = open_shop("trunnion5")
+    run = simulate(five, "r", "rotary", (1, 0), 8.0)
+    assert tuple(run.channels) == channels(five.machine)
+    turned = {name for name, values in run.channels.items() if values.any()}
+    assert turned <= {"feed_a", "feed_c"}
+    assert turned
 
 
 def test_telemetry_and_terms_share_their_clock(runs):

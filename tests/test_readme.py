@@ -17,6 +17,7 @@ from training.evaluation import NETWORK, NO_COMPENSATION, RIDGE
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = ("data-set", "kinematics", "network", "synthetic-shop")
 BUNDLE = load_bundle(ROOT / "demo" / "vmc3")
 
 
@@ -63,7 +64,7 @@ def test_the_demos_scores_are_those_of_its_manifest() -> None:
         assert f"| {name} | {score['rms_um']:.2f} | {score['share']:.1%} | {score['worst_um']:.1f} |" in README
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/data-set.md", "docs/kinematics.md", "docs/network.md"])
+@pytest.mark.parametrize("page", ["README.md", *(f"docs/{name}.md" for name in PAGES)])
 def test_links_lead_somewhere(page: str) -> None:
     folder = (ROOT / page).parent
     for target in re.findall(r"\]\(([^)#]+)\)", (ROOT / page).read_text(encoding="utf-8")):
