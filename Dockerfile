@@ -22,7 +22,7 @@ ENV PATH=/opt/thermotrue/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1 
     NUMBA_CACHE_DIR=/opt/thermotrue/compiled
 USER 10001
 EXPOSE 8000
-HEALTHCHECK --interval=5s --timeout=3s --start-period=20s \
+HEALTHCHECK --interval=5s --timeout=3s --start-period=120s \
   CMD ["python3", "-c", "import urllib.request as u; u.urlopen('http://127.0.0.1:8000/readyz', timeout=2)"]
 # Beyond loopback, since a container's port is published by whoever runs it.
 CMD ["thermotrue", "serve", "/bundles/vmc3", "--host", "0.0.0.0", "--port", "8000", "--allow-remote"]

@@ -3,7 +3,7 @@
 A plan (`kernel_plan.py`) is a list of operations that carry the tool tip from the tool's frame down to the bed and up
 to the workpiece. Each operation is a loop over the `LANES` positions of a block, which the compiler turns into vector
 instructions: no loop that should be one both stores and looks up a table, since nobody can prove that the two do not
-overlap. All of it stands in one file, whose time and size tell Numba whether what it kept is still good.
+overlap. All of it stands in one file, by which Numba tells whether what it kept is still good.
 
 `w` is the workspace, rows of `LANES` numbers; `c` holds the coordinates, a row per axis. mm and rad, rotary
 coordinates in degrees.
@@ -13,7 +13,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from model.kernel_cache import compiled, kept
+from model.kernel_cache import compiler, keeper
+
+# Contracting a multiplication and an addition keeps numbers that are not numbers as they are; other liberties do not.
+OPTIONS = {"nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
+compiled, kept = compiler(OPTIONS), keeper(OPTIONS)
 
 LANES = 64
 SHIFT, AFFINE, SLIDE, TURN, ERROR, ERROR_BACK, PLACE = range(7)
@@ -22,10 +26,11 @@ their inverse; nothing but what begins there."""
 NOTHING, LINEAR, ROTARY = range(3)
 """What an operation begins in the ideal pass: a vector of a linear axis, those of a rotary one."""
 
-TIP, AXIS, VALUES, SINES, WANTED_TIP, WANTED_AXIS, MISS, TILT, ALONG = 0, 3, 6, 12, 18, 21, 24, 27, 30
-FREE = 33
+TIP, AXIS, VALUES, SINES, WANTED_TIP, WANTED_AXIS, MISS, TILT, ALONG, BEFORE = 0, 3, 6, 12, 18, 21, 24, 27, 30, 33
+FREE = 34
 """Rows of the workspace: three of the tip, three of the tool axis, six error terms, sine and cosine of three angles,
-what is wanted, what is missing, where the linear axes have to bring the tip; from `FREE` on vectors by axis."""
+what is wanted, what is missing, where the linear axes have to bring the tip, how far the tool axis was tilted before
+(squared); from `FREE` on vectors by axis."""
 ROW = 16
 """Numbers per segment of a table: start, six values there, six slopes, three unused that round it to cache lines."""
 
@@ -34,13 +39,19 @@ SINGULAR = 0.02
 beside the pole of a rotary table, there an orientation error of 1 mrad asks for 3 degrees of table; nearer, the
 correction fades to none instead of growing without bound."""
 CLOSE = 5.0 * SINGULAR
-"""Below it the axes' effect is worked out anew where they went to, and not only where they were programmed."""
+"""Below it the axes' effect is worked out anew where they went to, and not only where they were programmed; with three
+rotary axes always, as it then also says how they share the turn."""
+SLACK_RAD = 0.05
+"""Rotary axes turn together by no more than twice the tilt before over `SINGULAR`, plus this: terms may grow on the
+way."""
 CONVERGED_MM, CONVERGED_RAD = 1e-8, 1e-11
 """Where iteration stops: a hundredth of what is promised."""
-FOLLOWING, EASING, RESTING, MAX_ITERATIONS = 3, 10, 24, 60
+FOLLOWING, EASING, RESTING, MAX_ITERATIONS = 3, 20, 40, 80
 """Up to which iteration the axes' effect is followed; from which the rotary axes go half the way; from which they
 rest, so that the linear ones can finish: near a pole, where the correction fades, a knot of an error table can keep
-them swinging between its two sides for ever."""
+them swinging between its two sides for ever. Where they find no place and the tool is tilted more than before, they go
+back to where they were programmed: as where a head with a slanted axis reaches no further, and a large turn tilts the
+tool more than the error does."""
 
 RAD = np.pi / 180.0
 B = LANES
@@ -403,8 +414,42 @@ def _miss(w):
 
 
 @compiled
-def _turn_back(w, c, q, linear, rotary_axes, share):
-    """Correct the rotary coordinates by a share of what turns the tool axis back, and `ALONG` by what that moves.
+def _limit(w, step, rotary):
+    """Shorten the way that the rotary axes are to go from the programmed pose to what is bounded; return where."""
+    count = 0
+    for i in range(B):
+        length = 0.0
+        for r in range(rotary):
+            length += w[(step + r) * B + i] * w[(step + r) * B + i]
+        most = 2.0 * np.sqrt(w[BEFORE * B + i]) / SINGULAR + SLACK_RAD
+        too_long = length > most * most
+        count += 1 if too_long else 0
+        factor = most / np.sqrt(length) if too_long else 1.0
+        for r in range(rotary):
+            w[(step + r) * B + i] *= factor
+    return count
+
+
+@compiled
+def _come_to_rest(w, step, gone, rotary):
+    """Let the rotary axes stay where they are, or go back where they found no place and the tool is tilted more."""
+    for i in range(B):
+        tilt = length = swing = 0.0
+        for k in range(3):
+            tilt += w[(TILT + k) * B + i] * w[(TILT + k) * B + i]
+        for r in range(rotary):
+            length += w[(step + r) * B + i] * w[(step + r) * B + i]
+            swing = max(swing, abs(w[(step + r) * B + i] - w[(gone + r) * B + i]))
+        most = 2.0 * np.sqrt(w[BEFORE * B + i]) / SINGULAR + SLACK_RAD
+        lost = swing > CONVERGED_RAD or length > 0.999 * most * most
+        back = lost and tilt > w[BEFORE * B + i]
+        for r in range(rotary):
+            w[(step + r) * B + i] = 0.0 if back else w[(gone + r) * B + i]
+
+
+@compiled
+def _turn_back(w, c, q, linear, rotary_axes, iteration):
+    """Correct the rotary coordinates by what turns the tool axis back, or half of it, and `ALONG` by what that moves.
 
     It counts the whole way from the programmed pose, so that what fades out near a pole stays faded out. What has
     arrived stays where it is. Returns how many coordinates have not.
@@ -415,6 +460,9 @@ def _turn_back(w, c, q, linear, rotary_axes, share):
     gone = product + rotary * rotary + 3 * linear
     step = gone + rotary
     late = 0
+    if iteration > RESTING:
+        return late
+    share = 1.0 if iteration < EASING or iteration == RESTING else 0.5
     for r in range(rotary):
         column = rotary_axes[r] * B
         for i in range(B):
@@ -431,6 +479,11 @@ def _turn_back(w, c, q, linear, rotary_axes, share):
             weight, other = product + r * rotary + s, gone + s
             for i in range(B):
                 w[to * B + i] += w[weight * B + i] * w[other * B + i]
+    limited = _limit(w, step, rotary)
+    if iteration < RESTING:
+        late += limited
+    else:
+        _come_to_rest(w, step, gone, rotary)
     for r in range(rotary):
         column, to, at = rotary_axes[r] * B, step + r, gone + r
         for i in range(B):
@@ -485,12 +538,10 @@ def _slide_back(w, c, q, linear_axes, rotary, moving):
 @compiled
 def _step(w, c, q, linear_axes, rotary_axes, moving, iteration):
     """Correct the coordinates: rotary axes turn the tool axis back, linear ones then put the tip in its place."""
-    share = 1.0 if iteration < EASING else 0.5
-    share = share if iteration < RESTING else 0.0
     for k in range(3):
         for i in range(B):
             w[(ALONG + k) * B + i] = w[(MISS + k) * B + i]
-    late = _turn_back(w, c, q, len(linear_axes), rotary_axes, share)
+    late = _turn_back(w, c, q, len(linear_axes), rotary_axes, iteration)
     return late + _slide_back(w, c, q, linear_axes, len(rotary_axes), moving)
 
 
@@ -538,7 +589,7 @@ def solve(
             least = _solve_rotary(w, linear, rotary)
         arrived = False
         for iteration in range(MAX_ITERATIONS + 1):
-            if 0 < iteration <= FOLLOWING and rotary > 0 and least < CLOSE * CLOSE and not arrived:
+            if 0 < iteration <= FOLLOWING and rotary > 0 and (least < CLOSE * CLOSE or rotary > 2) and not arrived:
                 _ideal_pass(w, c, ideal_ops, ideal_constants, tool, linear, rotary, active)
                 if moving:
                     _invert_linear(w, linear, rotary, n, e)
@@ -547,6 +598,10 @@ def solve(
             with_axis = rotary > 0 or iteration > 1 or arrived
             _real_pass(w, c, found, real_ops, real_constants, cells, segments, lookup, grid, tool, with_axis)
             _miss(w)
+            if iteration == 0:
+                for i in range(B):
+                    x, y, z = w[TILT * B + i], w[(TILT + 1) * B + i], w[(TILT + 2) * B + i]
+                    w[BEFORE * B + i] = x * x + y * y + z * z
             if (arrived and with_axis) or iteration == MAX_ITERATIONS:
                 break
             arrived = _step(w, c, q, linear_axes, rotary_axes, moving, iteration) == 0
@@ -558,4 +613,7 @@ def solve(
             x, y, z = w[MISS * B + i], w[(MISS + 1) * B + i], w[(MISS + 2) * B + i]
             residual[first + i] = np.sqrt(x * x + y * y + z * z)
             x, y, z = w[TILT * B + i], w[(TILT + 1) * B + i], w[(TILT + 2) * B + i]
-            tilt[first + i] = np.arcsin(min(np.sqrt(x * x + y * y + z * z), 1.0))
+            cosine = 0.0
+            for k in range(3):
+                cosine += w[(AXIS + k) * B + i] * w[(WANTED_AXIS + k) * B + i]
+            tilt[first + i] = np.arctan2(np.sqrt(x * x + y * y + z * z), cosine)

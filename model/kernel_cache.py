@@ -14,7 +14,7 @@ import shutil
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -24,32 +24,43 @@ from numba.core import config as numba_config
 log = logging.getLogger(__name__)
 config: Any = numba_config
 
-# Contracting a multiplication and an addition keeps numbers that are not numbers as they are; other liberties do not.
-OPTIONS: dict[str, Any] = {"nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
 PATIENCE_S = 1.5
 """Loading takes some tenths of a second; who waits longer is told why."""
 
 
-def compiled(function: Callable[..., Any]) -> Any:
-    """Compile a part of the path with whatever calls it."""
-    return numba.njit(**OPTIONS)(function)
+Decorator = Callable[[Callable[..., Any]], Any]
 
 
-def kept(signature: str) -> Callable[[Callable[..., Any]], Any]:
-    """Compile the path for that signature at once, or load what was kept of it."""
+def compiler(options: Mapping[str, Any]) -> Decorator:
+    """Return what compiles a part of the path with whatever calls it.
 
-    def compile_or_load(function: Callable[..., Any]) -> Any:
-        _use_a_writable_copy()
-        with _telling():
-            try:
-                return numba.njit(signature, cache=True, **OPTIONS)(function)
-            except RuntimeError as problem:
-                if "cannot cache" not in str(problem):
-                    raise
-            log.warning("the compiled path cannot be kept for the next start; set NUMBA_CACHE_DIR to a writable folder")
-            return numba.njit(signature, **OPTIONS)(function)
+    The options come from the file that is compiled, since it alone tells Numba whether what it kept is still good.
+    """
 
-    return compile_or_load
+    def compiled(function: Callable[..., Any]) -> Any:
+        return numba.njit(**options)(function)
+
+    return compiled
+
+
+def keeper(options: Mapping[str, Any]) -> Callable[[str], Decorator]:
+    """Return what compiles the path for a signature at once, or loads what was kept of it."""
+
+    def kept(signature: str) -> Decorator:
+        def compile_or_load(function: Callable[..., Any]) -> Any:
+            _use_a_writable_copy()
+            with _telling():
+                try:
+                    return numba.njit(signature, cache=True, **options)(function)
+                except RuntimeError as problem:
+                    if "cannot cache" not in str(problem):
+                        raise
+                log.warning("the compiled path cannot be kept; set NUMBA_CACHE_DIR to a folder that can be written to")
+                return numba.njit(signature, **options)(function)
+
+        return compile_or_load
+
+    return kept
 
 
 def _use_a_writable_copy() -> None:
@@ -73,12 +84,10 @@ def _use_a_writable_copy() -> None:
 
 @contextmanager
 def _telling() -> Iterator[None]:
-    """Say that the path is being compiled, if that takes long."""
+    """Say that the path is being compiled, if that takes long: to whoever starts a command or reads a journal."""
 
     def tell() -> None:
-        log.info("compiling the per-position path, once for this version and processor")
-        if sys.stderr.isatty():
-            print("compiling, once for this version and processor (some ten seconds)", file=sys.stderr)
+        print("compiling the per-position path, once for this version and processor", file=sys.stderr)
 
     timer = threading.Timer(PATIENCE_S, tell)
     timer.daemon = True

@@ -13,6 +13,7 @@ from model.chain import Chain
 from model.error_map import ErrorMap
 from model.exceptions import DataError
 from model.machine import Axis
+from model.terms import DIRECTIONS
 from model.transforms import Array, exact_error, translation
 
 LARGEST_RAD = 0.1
@@ -69,7 +70,8 @@ def plan(chain: Chain, errors: ErrorMap, tool_mm: Array | None, keep: Sequence[s
     Raises
     ------
     DataError
-        where an error term is not finite, or an angular one leaves ±0.1 rad.
+        where an error term is not finite, or an angular one leaves ±0.1 rad, or the tool is not three finite
+        numbers.
     """
     _check(errors)
     names = chain.machine.axis_names
@@ -77,8 +79,12 @@ def plan(chain: Chain, errors: ErrorMap, tool_mm: Array | None, keep: Sequence[s
     linear = [a for a in free if not chain.machine.axes[a].rotary]
     rotary = [a for a in free if chain.machine.axes[a].rotary]
     moving = _carried(chain, linear)
-    tip = chain.machine.tool.offset_mm if tool_mm is None else tool_mm
-    tool = np.concatenate([np.asarray(tip, dtype=float), np.asarray(chain.machine.tool.direction, dtype=float)])
+    if not _follow(chain, linear, moving=moving):
+        rotary = []  # position first: a turn would take the tip along
+    tip = np.asarray(chain.machine.tool.offset_mm if tool_mm is None else tool_mm, dtype=float)
+    if tip.shape != (3,) or not np.isfinite(tip).all():
+        raise DataError(f"the tool tip must be three finite numbers of mm, got {tip}")
+    tool = np.concatenate([tip, np.asarray(chain.machine.tool.direction, dtype=float)])
     ideal_ops, ideal_constants = _packed(_ideal(chain, linear, rotary, moving=moving))
     real_ops, real_constants = _packed(_real(chain, errors))
     cells, segments, lookup, grid = _tables(errors)
@@ -107,8 +113,12 @@ def _check(errors: ErrorMap) -> None:
                 f"motion terms of axis '{axis}' must be finite, and angles within ±{LARGEST_RAD:g} rad, got "
                 f"{np.abs(values[3:]).max():.3g} rad"
             )
-    if not np.isfinite(errors.location).all():
-        raise DataError("location terms must be finite numbers, got others")
+    angles = np.abs(errors.location.reshape(-1, len(DIRECTIONS))[:, 3:])
+    if not (np.isfinite(errors.location).all() and angles.max(initial=0.0) <= LARGEST_RAD):
+        raise DataError(
+            f"location terms must be finite, and angles within ±{LARGEST_RAD:g} rad, got "
+            f"{angles.max(initial=0.0):.3g} rad"
+        )
 
 
 def _carried(chain: Chain, linear: Sequence[str]) -> bool:
@@ -123,6 +133,13 @@ def _carried(chain: Chain, linear: Sequence[str]) -> bool:
                 return True
             turned = turned or axis.rotary
     return False
+
+
+def _follow(chain: Chain, linear: Sequence[str], *, moving: bool) -> bool:
+    """Return whether the linear axes reach every direction, so that they can follow where a turn takes the tip."""
+    if moving or len(linear) < 3:
+        return len(linear) >= 3
+    return bool(np.linalg.svd(_columns_on_bed(chain, linear), compute_uv=False).min() > kernel.SINGULAR)
 
 
 def _ideal(chain: Chain, linear: Sequence[str], rotary: Sequence[str], *, moving: bool) -> list[Op]:

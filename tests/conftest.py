@@ -3,6 +3,8 @@ from collections.abc import Iterator
 import pytest
 from service_client import Service, serving
 
+import model.kernel  # noqa: F401 (compiled here where it was not, so that no test waits for it or reads that it is)
+
 
 @pytest.fixture
 def service() -> Iterator[Service]:

@@ -18,7 +18,7 @@ from model import kernel, kernel_cache
 from model.chain import Chain
 from model.compensation import SHARE, Compensator, compensate
 from model.error_map import ErrorMap
-from model.exceptions import DataError
+from model.exceptions import ComputeError, DataError
 from model.kernel import LANES
 from model.kernel_plan import LARGEST_RAD, plan
 from model.machine import Machine, load_machine, parse_machine, preset
@@ -136,6 +136,101 @@ def test_a_linear_axis_on_a_rotary_one_is_used_where_it_points(structure: str) -
         assert moved.max() <= 20.0 / kernel.SINGULAR  # bounded where the quill lies across what it should undo
 
 
+def test_rotary_axes_stay_where_the_linear_ones_cannot_follow() -> None:
+    """Position first: turning the tool back would take the tip along, and X must not move."""
+    rng = np.random.default_rng(6)
+    for chain in (CHAINS[0], Chain(load_machine(preset("trunnion5")))):
+        errors = random_errors(chain.machine, rng)
+        q = poses(chain, 500, rng)
+        names = chain.machine.axis_names
+        rotary = [i for i, a in enumerate(names) if chain.machine.axes[a].rotary]
+        found = compensate(chain, q, errors, keep=("X",))
+        np.testing.assert_array_equal(found.corrected[:, rotary], q[:, rotary])
+        before = compensate(chain, q, errors, keep=names).residual_mm
+        assert (found.residual_mm <= before + 0.05).all()  # the terms of another place differ by their slopes
+
+
+SLANTED = "direction = [0.0, 0.70710678118654752, 0.70710678118654752]\n"
+
+
+def many_rotary_axes(structure: str, slanted: str = "") -> Chain:
+    axes = "".join(
+        f"[axes.{a}]\nrange = {[-360.0, 360.0] if a in 'ABC' else [-300.0, 300.0]}\n"
+        f"origin_mm = {[20.0, -30.0, 50.0] if a in 'ABC' else [0.0, 0.0, 0.0]}\n" + (SLANTED if a == slanted else "")
+        for a in structure.split()
+        if a not in "wbt"
+    )
+    tool = "[tool]\noffset_mm = [0.0, 0.0, -150.0]\nerrors = true\n"
+    return Chain(parse_machine(f'name = "many"\nstructure = "{structure}"\n{axes}{tool}'))
+
+
+@pytest.mark.parametrize(
+    ("structure", "slanted", "poles"),
+    [
+        ("w X b Y Z C B t", "B", {"B": (0.0, 180.0)}),  # a nutating head: tool upright, tool level
+        ("w C B b X Y Z t", "B", {"B": (0.0, 180.0)}),
+        ("w C B A b X Y Z t", "", {"A": (90.0, -90.0), "B": (90.0, -90.0)}),
+        ("w b X Y Z C B A t", "", {"A": (90.0, -90.0), "B": (90.0, -90.0)}),
+    ],
+)
+def test_where_rotary_axes_reach_no_further_they_do_not_run_away(
+    structure: str, slanted: str, poles: dict[str, tuple[float, float]]
+) -> None:
+    """At the end of their reach a turn tilts the tool as its square: steps from the slope alone go round and round."""
+    chain = many_rotary_axes(structure, slanted)
+    names = chain.machine.axis_names
+    rotary = [i for i, a in enumerate(names) if chain.machine.axes[a].rotary]
+    rng = np.random.default_rng(8)
+    for _ in range(4):
+        errors = random_errors(chain.machine, rng)
+        q = poses(chain, 300, rng)
+        for axis, places in poles.items():
+            q[:, names.index(axis)] = rng.choice(places, len(q)) + rng.uniform(-3, 3, len(q))
+        found = compensate(chain, q, errors)
+        before = compensate(chain, q, errors, keep=names).tilt_rad
+        assert found.residual_mm.max() <= 1e-6
+        turned = np.radians(np.linalg.norm((found.corrected - q)[:, rotary], axis=1))
+        assert (turned <= 2.0 * before / kernel.SINGULAR + kernel.SLACK_RAD + 1e-9).all()
+        assert (found.tilt_rad <= before + 5e-4).all()  # terms of another place, where axes went far
+        turned_axis = chain.pose(found.corrected, errors.evaluate(found.corrected))[1][:, :, 2]
+        sine = np.linalg.norm(np.cross(turned_axis, chain.pose(q)[1][:, :, 2]), axis=1)
+        np.testing.assert_allclose(found.tilt_rad, np.arcsin(sine), atol=1e-12)
+
+
+def test_three_rotary_axes_share_the_turn_whatever_their_neighbours() -> None:
+    chain = many_rotary_axes("w b X Y Z A B C t")
+    rng = np.random.default_rng(4)
+    compensator = Compensator(chain, random_errors(chain.machine, rng, 0.3))
+    q = poses(chain, 2 * LANES, rng)
+    alone = np.concatenate([compensator.compensate(q[i : i + 1]).corrected for i in range(len(q))])
+    np.testing.assert_allclose(compensator.compensate(q).corrected, alone, atol=1e-6)
+
+
+def test_what_has_another_shape_is_refused() -> None:
+    """Compiled code looks nothing up twice: it would read and write beyond its arrays."""
+    chain = CHAINS[0]
+    errors = ErrorMap.zero(chain.machine)
+    for shape in ((3, 4), (3, 6), (5,), (0,)):
+        with pytest.raises(
+            DataError, match=r"coordinates must have shape \(n, 5\), one column for each of X, Y, Z, A, C"
+        ):
+            compensate(chain, np.zeros(shape), errors)
+    for tool in (np.zeros(2), np.zeros(4), np.array([0.0, 0.0, np.inf])):
+        with pytest.raises(DataError, match="the tool tip must be three finite numbers of mm, got"):
+            compensate(chain, np.zeros((1, 5)), errors, tool)
+
+
+def test_what_runs_away_is_refused_whatever_the_axes_reach() -> None:
+    chain = Chain(parse_machine(machine_text("w Y b X Z t")))
+    errors = random_errors(chain.machine, np.random.default_rng(1))
+    with (
+        np.errstate(all="ignore"),
+        pytest.raises(ComputeError, match="compensation at X .* must reach 1 nm, got a res"),
+    ):
+        compensate(CHAINS[0], np.full((1, 5), 1.7e308), ErrorMap.zero(CHAINS[0].machine), keep=("X",))
+    assert compensate(chain, np.zeros((1, 3)), errors, keep=("X",)).residual_mm[0] > 1e-6
+
+
 def test_what_is_not_a_number_is_refused() -> None:
     chain = Chain(parse_machine(machine_text("w Y b X Z t")))
     errors = random_errors(chain.machine, np.random.default_rng(1))
@@ -147,6 +242,8 @@ def test_what_is_not_a_number_is_refused() -> None:
         compensate(chain, np.zeros((1, 3)), errors.scaled(np.nan))
     with pytest.raises(DataError, match=r"angles within ±0.1 rad, got 0.2"):
         compensate(chain, np.zeros((1, 3)), ErrorMap.from_rows(chain.machine, [("EAX", 0.0, 2e6 * LARGEST_RAD)]))
+    with pytest.raises(DataError, match=r"location terms must be finite, and angles within ±0.1 rad, got 0.2"):
+        compensate(chain, np.zeros((1, 3)), ErrorMap.from_rows(chain.machine, [("EA0X", None, 2e6 * LARGEST_RAD)]))
 
 
 def test_large_coordinates_stay_in_the_tables() -> None:
@@ -216,5 +313,5 @@ def test_without_any_folder_it_still_runs(monkeypatch: pytest.MonkeyPatch, caplo
         return lambda function: function
 
     monkeypatch.setattr(kernel_cache.numba, "njit", refuses)
-    assert kernel_cache.kept("void()")(shutil.rmtree) is shutil.rmtree
-    assert "set NUMBA_CACHE_DIR to a writable folder" in caplog.text
+    assert kernel_cache.keeper({})("void()")(shutil.rmtree) is shutil.rmtree
+    assert "set NUMBA_CACHE_DIR to a folder that can be written to" in caplog.text
