@@ -303,7 +303,13 @@ GANTRY3 = Design(
     structure=STRUCTURE,
     thermometers=THERMOMETERS,
     workmanship=Workmanship(
-        positioning_um=12.0, straightness_um=8.0, roll_urad=15.0, pitch_um=1.0, pitch_mm=20.0, location_um=10.0
+        positioning_um=12.0,
+        straightness_um=8.0,
+        roll_urad=15.0,
+        pitch_um=1.0,
+        pitch_mm=20.0,
+        location_um=10.0,
+        without_screw=("X", "Y"),
     ),  # a large machine's, chosen
     layering=2.0,  # it reaches twice as high into the hall as a small machine
     capability=Capability(

@@ -1,10 +1,11 @@
 """Geometric (cold) errors: what a machine has from assembly, at its reference temperature.
 
 A linear axis' motion error is a smooth polynomial of its position; straightness brings its slope as an angle; a
-positioning error adds the screw's harmonic once a turn. A rotary axis' are harmonics of its angle: along its line and
-about it from once per turn, across it from twice, since once per turn and a constant are where the line stands and
-where the body sits on it. Location errors hold the squareness of assembly; in the composition "seed", where they turn
-no path, the straightness has the slope too, and the paper's secondary terms are small.
+positioning error adds the screw's, once a turn and twice, at positions close enough to show it. A rotary axis' are
+harmonics of its angle: along its line and about it from once per turn, across it from twice, since once per turn and a
+constant are where the line stands and where the body sits on it. Location errors hold the squareness of assembly; in
+the composition "seed", where they turn no path, the straightness has the slope too, and the paper's secondary terms are
+small.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ class Workmanship:
 
     Attributes
     ----------
-    pitch_mm : lead of the screws
+    pitch_um, pitch_mm : what comes once a turn of the screws, and their lead
+    without_screw : axes that a rack moves and a scale measures
     angle_urad, axial_um, radial_um, tilt_urad : of a rotary axis
     secondary : size of the secondary location terms in the composition "seed", as a share of the others': two to
         three orders of magnitude below the motion terms (su2001.txt, section 3.3)
@@ -51,9 +53,16 @@ class Workmanship:
     secondary: float = 0.005
     points: int = 26
     step_degree: float = 15.0
+    without_screw: tuple[str, ...] = ()
 
 
 NORMAL = Workmanship()
+
+PER_TURN = 8  # positions of a positioning error in one turn of the screw: what comes twice is still seen (chosen)
+TWICE = 0.3  # what comes twice a turn, as a share of what comes once (chosen)
+
+Curves = dict[str, tuple[Array, Array]]
+"""Positions and values, by direction."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +80,7 @@ def geometry(machine: Machine, rng: np.random.Generator, quality: Workmanship = 
     square = (
         {name: float(rng.normal(0.0, quality.squareness_urad)) for name in squareness_terms(machine)} if seed else {}
     )
-    curves = {}
+    curves: dict[str, Curves] = {}
     for name in machine.axis_names:
         axis = machine.axes[name]
         if axis.rotary:
@@ -81,10 +90,9 @@ def geometry(machine: Machine, rng: np.random.Generator, quality: Workmanship = 
     rows = []
     for term in machine.terms:
         if term.kind == "motion":
-            at, values = curves[term.axis]
             rows += [
                 Row(term.name, round(float(p), 6), round(float(v), 4))
-                for p, v in zip(at, values[term.direction], strict=True)
+                for p, v in zip(*curves[term.axis][term.direction], strict=True)
             ]
         elif term.name in square:
             rows.append(Row(term.name, None, round(square[term.name], 4)))
@@ -102,38 +110,47 @@ def _slope(axis: Axis, square: Mapping[str, float]) -> Array:
     return slope
 
 
-def _linear(
-    axis: Axis, rng: np.random.Generator, quality: Workmanship, slope_urad: Array
-) -> tuple[Array, dict[str, Array]]:
+def _linear(axis: Axis, rng: np.random.Generator, quality: Workmanship, slope_urad: Array) -> Curves:
     at = np.linspace(axis.low, axis.high, quality.points)
     d = np.array(axis.direction)
     along = int(np.argmax(np.abs(d)))
     shifts = {k: _smooth(axis.low, axis.high, quality.straightness_um, 2, rng) for k in range(3) if k != along}
     slopes = np.zeros((3, len(at)))
-    values: dict[str, Array] = {}
+    curves: Curves = {}
     for k, shift in shifts.items():
-        values["XYZ"[k]] = shift(at) + 1e-3 * slope_urad[k] * at
+        curves["XYZ"[k]] = at, shift(at) + 1e-3 * slope_urad[k] * at
         slopes[k] = 1e3 * shift.deriv()(at)  # µm/mm to µrad
     turn = np.cross(d, slopes, axisb=0, axisc=0)  # the body turns as its path does
     turn[along] = _smooth(axis.low, axis.high, quality.roll_urad, 1, rng)(at)
     phase, wave = rng.uniform(0, 2 * np.pi), abs(rng.normal(0.0, quality.pitch_um))
-    pitch = wave * np.sin(2 * np.pi * at / quality.pitch_mm + phase)
-    values["XYZ"[along]] = _smooth(axis.low, axis.high, quality.positioning_um, 1, rng)(at) + pitch
-    return at, {**values, **dict(zip("ABC", turn, strict=True))}
+    course = _smooth(axis.low, axis.high, quality.positioning_um, 1, rng)
+    if axis.name in quality.without_screw:
+        curves["XYZ"[along]] = at, course(at)
+    else:
+        dense = _per_turn(axis, quality)
+        angle = 2 * np.pi * dense / quality.pitch_mm + phase
+        curves["XYZ"[along]] = dense, course(dense) + wave * (np.sin(angle) + TWICE * np.sin(2.0 * angle + phase))
+    return {**curves, **{letter: (at, values) for letter, values in zip("ABC", turn, strict=True)}}
 
 
-def _rotary(axis: Axis, rng: np.random.Generator, quality: Workmanship) -> tuple[Array, dict[str, Array]]:
+def _per_turn(axis: Axis, quality: Workmanship) -> Array:
+    """Return positions that show a turn of the screw: wider apart, its error would be a constant or a beat."""
+    steps = int(np.ceil((axis.high - axis.low) / (quality.pitch_mm / PER_TURN)))
+    return np.linspace(axis.low, axis.high, max(quality.points, steps + 1))
+
+
+def _rotary(axis: Axis, rng: np.random.Generator, quality: Workmanship) -> Curves:
     steps = int(np.ceil((axis.high - axis.low) / quality.step_degree))
     at = np.linspace(axis.low, axis.high, max(quality.points, steps + 1))
     along = int(np.argmax(np.abs(axis.direction)))
-    values: dict[str, Array] = {}
+    curves: Curves = {}
     for letters, across, own in (
         ("XYZ", quality.radial_um, quality.axial_um),
         ("ABC", quality.tilt_urad, quality.angle_urad),
     ):
         for k, letter in enumerate(letters):
-            values[letter] = _harmonics(at, own if k == along else across, 1 if k == along else 2, rng)
-    return at, values
+            curves[letter] = at, _harmonics(at, own if k == along else across, 1 if k == along else 2, rng)
+    return curves
 
 
 def _harmonics(at_degree: Array, size: float, lowest: int, rng: np.random.Generator) -> Array:

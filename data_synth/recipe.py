@@ -20,7 +20,7 @@ from data_synth.run import (
     TERMS_PERIOD_S,
     Run,
     Shop,
-    check_periods,
+    check_period,
     run_kind,
     run_name,
     simulate,
@@ -84,7 +84,7 @@ class Recipe:
             raise InputError(f"runs must be at least 1, got {self.runs}")
         if not 0 <= self.seed < GEOMETRY_STREAM:
             raise InputError(f"seed must be from 0 to {GEOMETRY_STREAM - 1}, got {self.seed}")
-        check_periods(self.period_s, self.terms_period_s)
+        check_period(self.period_s)  # before anything is divided by it
         shortest = 2 * self.terms_period_s / 3600.0
         if not self.hours >= shortest:
             raise InputError(

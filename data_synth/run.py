@@ -87,6 +87,21 @@ def run_name(index: int, order: Sequence[str] = cycles.ORDER) -> str:
     return f"r{index:02d}_{run_kind(index, order)}"
 
 
+def check_period(period_s: float) -> None:
+    """Check the period of a run's telemetry.
+
+    Raises
+    ------
+    InputError
+        where it does not go with the minute over which a programme is held.
+    """
+    shorter, longer = HELD_S / period_s if period_s > 0.0 else 0.0, period_s / HELD_S
+    if not (1.0 <= period_s <= 3600.0 and (shorter.is_integer() or longer.is_integer())):
+        raise InputError(
+            f"period must be 1 to 60 s and divide a minute, or be whole minutes up to an hour, got {period_s:g} s"
+        )
+
+
 def check_periods(period_s: float, terms_period_s: float) -> None:
     """Check the periods of a run's telemetry and error terms.
 
@@ -95,11 +110,7 @@ def check_periods(period_s: float, terms_period_s: float) -> None:
     InputError
         where a period does not go with the minute over which a programme is held, or with the other.
     """
-    shorter, longer = HELD_S / period_s if period_s > 0.0 else 0.0, period_s / HELD_S
-    if not (1.0 <= period_s <= 3600.0 and (shorter.is_integer() or longer.is_integer())):
-        raise InputError(
-            f"period must be 1 to 60 s and divide a minute, or be whole minutes up to an hour, got {period_s:g} s"
-        )
+    check_period(period_s)
     if terms_period_s <= 0.0 or not (terms_period_s / period_s).is_integer():
         raise InputError(f"period of error terms must be a multiple of {period_s:g} s, got {terms_period_s:g} s")
 

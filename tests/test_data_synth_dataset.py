@@ -333,6 +333,7 @@ def test_json_says_what_was_made(tmp_path):
         ("--climate", "winer", "unknown climate 'winer'; did you mean 'winter'"),
         ("--faults", "stuk", "faults must be kinds"),
         ("--period", "7", "period must be 1 to 60 s"),
+        *(("--period", wrong, "period must be 1 to 60 s") for wrong in ("0", "-60", "nan", "inf")),
         ("--period", "10", "hours must be at most 166.667 at a period of 10 s"),
     ],
 )

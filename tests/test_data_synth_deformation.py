@@ -177,8 +177,7 @@ def test_a_warm_spindle_pushes_its_nose_down():
 def test_the_nose_moves_with_the_square_of_speed():
     cold = np.zeros((3, len(NODES)))
     shift = SHOP.fields.evaluate(cold, np.array([0.0, 6000.0, 12000.0])).location["T"][:, 2]
-    np.testing.assert_allclose(shift, [0.0, shift[2] / 4.0, shift[2]])
-    assert shift[2] != 0.0
+    np.testing.assert_allclose(shift, [0.0, -1.0, -4.0])  # out of the head, which points down
 
 
 def test_every_term_is_alive():

@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 from data_synth.geometric import NORMAL, geometry
+from data_synth.joints import LinearJoint
+from data_synth.machines import DESIGNS
+from data_synth.screw import Screw
 from model.machine import load_machine, preset
 from model.term_classes import squareness_terms
 
@@ -39,6 +42,37 @@ def test_every_term_has_a_table_over_the_range_of_its_axis(name):
         assert np.isfinite(values).all()
         if axis.rotary:
             assert np.diff(at).max() <= NORMAL.step_degree + 1e-6
+
+
+@pytest.mark.parametrize("name", DESIGNS)
+def test_a_screws_error_once_a_turn_is_in_the_table_and_a_scale_has_none(name):
+    machine, quality = load_machine(preset(name)), DESIGNS[name].workmanship
+    sizes: dict[str, list] = {}
+    for seed in range(8):
+        rows = geometry(machine, np.random.default_rng(seed), quality)
+        for axis in "XYZ":
+            at, values = np.array([(r.position, r.value) for r in rows if r.term == f"E{axis}{axis}"]).T
+            screw = axis not in quality.without_screw
+            angle = 2.0 * np.pi * at / quality.pitch_mm
+            smooth = (at - at.mean()) / (at[-1] - at[0])
+            waves = [f(k * angle) for k in (1, 2) for f in (np.sin, np.cos)] if screw else []
+            basis = np.column_stack([*(smooth**k for k in range(6)), *waves])
+            fit = np.linalg.lstsq(basis, values, rcond=None)[0]
+            np.testing.assert_allclose(basis @ fit, values, atol=1e-3)  # so nothing else is in it
+            if screw:
+                assert np.diff(at).max() <= quality.pitch_mm / 8 + 1e-9
+                sizes.setdefault(axis, []).append(once := np.hypot(*fit[6:8]))
+                assert np.hypot(*fit[8:]) == pytest.approx(0.3 * once, abs=1e-3)
+    assert set(sizes) == set("XYZ") - set(quality.without_screw)
+    for once in sizes.values():
+        assert 0.3 < np.mean(once) / quality.pitch_um < 1.5
+
+
+@pytest.mark.parametrize("name", DESIGNS)
+def test_the_axes_said_to_be_without_a_screw_are_those_whose_drives_are_none(name):
+    linear = {axis: joint for axis, joint in DESIGNS[name].structure.joints.items() if isinstance(joint, LinearJoint)}
+    screwed = {axis for axis, joint in linear.items() if any(isinstance(drive, Screw) for drive in joint.drives)}
+    assert set(linear) - screwed == set(DESIGNS[name].workmanship.without_screw)
 
 
 @pytest.mark.parametrize(("name", "axis", "along"), [("trunnion5", "C", "ZC"), ("hmc4", "B", "YB")])

@@ -95,3 +95,12 @@ def test_every_node_reaches_the_air(name):
     np.testing.assert_allclose(between.sum(axis=1), to_boundary.sum(axis=1), atol=1e-9)
     np.testing.assert_allclose(between, between.T)
     assert DESIGNS[name].network.capacity().min() > 0.0
+
+
+@pytest.mark.parametrize("name", DESIGNS)
+def test_coolant_touches_only_its_tank_until_it_flows(name):
+    wetted = [link for link in DESIGNS[name].network.links if link.b == "coolant"]
+    assert len(wetted) > 5
+    for link in wetted:
+        assert link.film.factor(REST) == 0.0, link
+        assert link.film.factor(OperatingPoint(coolant=True)) > 0.0, link
