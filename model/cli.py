@@ -21,6 +21,7 @@ ORDER = (
     "deviation",
     "compensate",
     "synth",
+    "sensors",
     "train",
     "evaluate",
     "predict",

@@ -137,7 +137,7 @@ def test_a_folder_in_the_place_of_dataset_toml_is_not_the_default(tmp_path: Path
     ("gone", "message"),
     [
         ("telemetry.csv", "data set '.*' must have telemetry.parquet or telemetry.csv, got neither"),
-        ("error_terms.csv", "data set '.*' must have error_terms.parquet or error_terms.csv, got neither"),
+        ("error_terms.csv", "data set '.*' must have error_terms.parquet or error_terms.csv, or tool_tip.*, got none"),
         ("machine.toml", "machine description '.*' cannot be read"),
     ],
 )

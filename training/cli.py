@@ -25,9 +25,16 @@ def _names(_ctx: click.Context, _option: click.Parameter, value: str | None) -> 
 )
 @click.option("--seed", default=0, show_default=True, help="Of the split and the network's first weights.")
 @click.option("--picture", type=PATH, help="Draw the test run that drifts most, as measured and predicted.")
+@click.option("--report/--no-report", default=True, help="Write a page about the training beside the bundle: OUT.html.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def train(
-    dataset: Path, out: Path, test_runs: list[str] | None, seed: int, picture: Path | None, as_json: bool
+    dataset: Path,
+    out: Path,
+    test_runs: list[str] | None,
+    seed: int,
+    picture: Path | None,
+    report: bool,
+    as_json: bool,
 ) -> None:
     """Train a thermal network on the data set folder DATASET and write a bundle that `thermotrue serve` takes.
 
@@ -35,37 +42,72 @@ def train(
     measurements it was not trained on.
     """
     from training.job import train_bundle
+    from training.report import check_report, report_path, write_report
 
     _check_picture(picture)
+    page = report_path(out) if report else None
+    if page is not None:
+        check_report(page)
     result = train_bundle(dataset, out, test_runs, seed)
     if picture is not None:
         result.draw(picture)
+    if page is not None:
+        write_report(result, page)
     if as_json:
-        _print_json(result.as_dict())
+        _print_json({**result.as_dict(), "report": None if page is None else str(page)})
         return
     from training.tables import print_scores
 
     print_scores(result.scores, f"{result.machine}, left out: {result.left_out}")
     _print_note(result.note)
     click.echo(result.summary())
+    if page is not None:
+        click.echo(f"report {page}")
 
 
 @click.command()
 @click.argument("bundle", type=PATH)
 @click.argument("dataset", type=PATH)
 @click.option("--runs", callback=_names, help="Runs to test on, separated by commas; by default all.")
+@click.option(
+    "--baselines",
+    is_flag=True,
+    help="Train what one would use instead of the network (ridge regressions, ARX, boosted trees, a GRU), each with "
+    "its settings chosen on its training data, and print all in one table.",
+)
+@click.option(
+    "--train-on",
+    type=PATH,
+    help="Data set to train the baselines on; by default the runs of DATASET that are not tested on.",
+)
 @click.option("--picture", type=PATH, help="Draw the one that drifts most, as measured and predicted.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-def evaluate(bundle: Path, dataset: Path, runs: list[str] | None, picture: Path | None, as_json: bool) -> None:
+def evaluate(
+    bundle: Path,
+    dataset: Path,
+    runs: list[str] | None,
+    baselines: bool,
+    train_on: Path | None,
+    picture: Path | None,
+    as_json: bool,
+) -> None:
     """Measure what the network of BUNDLE leaves of the tool tip's deviation on runs of DATASET."""
     from training.job import evaluate_bundle
 
+    if train_on is not None and not baselines:
+        raise click.UsageError("--train-on says what to train the baselines on; give --baselines, too")
     _check_picture(picture)
     result = evaluate_bundle(bundle, dataset, runs)
+    more = None
+    if baselines:
+        from training.comparison import with_baselines
+
+        more = with_baselines(result, train_on)
+        result = more.result
     if picture is not None:
         result.draw(picture)
     if as_json:
-        _print_json(result.as_dict())
+        _print_json(result.as_dict() if more is None else more.as_dict())
         return
     from training.tables import print_scores
 
@@ -73,6 +115,8 @@ def evaluate(bundle: Path, dataset: Path, runs: list[str] | None, picture: Path 
     _print_note(result.note)
     if result.seen:
         click.echo(f"note: the bundle was trained on {', '.join(result.seen)}, so these figures flatter it", err=True)
+    if more is not None:
+        click.echo(more.summary())
 
 
 def _check_picture(path: Path | None) -> None:

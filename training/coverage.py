@@ -65,7 +65,7 @@ def coverage(dataset: DataSet) -> Coverage:
     """
     columns = columns_by_term(dataset.columns)
     found: Coverage = {}
-    for name in dataset.terms:
+    for name in dataset.measured_terms:
         mine = columns[name]
         positions = np.array([dataset.columns[j][1] or 0.0 for j in mine])
         known = [np.isfinite(run.values[:, mine]) for run in dataset.runs.values()]

@@ -1,11 +1,11 @@
-"""Read a data set folder: machine, telemetry and measured error terms (DESIGN, section 5)."""
+"""Read a data set folder: machine, telemetry, and measured error terms or tool-tip deviations (DESIGN, section 5)."""
 
 from __future__ import annotations
 
 import hashlib
 import tomllib
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -20,6 +20,8 @@ from model.tables import Table, find_table, read_table
 from model.telemetry import Run, read_telemetry
 from model.transforms import Array
 from model.validation import Strict, check
+from training.touches import Places, Touches, no_touches, read_touches, without_cold
+from training.volume import moving_terms
 
 Datum = Literal["absolute", "run-start"]
 Column = tuple[str, float | None]
@@ -38,12 +40,16 @@ class MeasuredRun:
     ----------
     telemetry : of the run
     time_s : of the measurements, shape (N,), rising [s]
-    values : shape (N, J) [µm, µrad], NaN where not measured
+    values : shape (N, J + 3m) [µm, µrad], NaN where not measured: the terms, and behind them the tip's deviations in x,
+        y and z at each of the m places
+    places : shape (N, m, A), positions of the axes at the m places [mm, degree], NaN where the tip was not measured;
+        None where it never was
     """
 
     telemetry: Run
     time_s: Array
     values: Array
+    places: Array | None = None
 
     def between(self, sampled: Array) -> Array:
         """Return what is known at each telemetry sample, shape (T, ...), at the times of measurement (N, ...)."""
@@ -64,6 +70,7 @@ class DataSet:
     columns : the J measured terms and positions
     geometry : cold errors, empty where none were measured
     fingerprint : SHA-256 over its files
+    places : m, at how many positions one time can have the tip's deviation; 0 where it was not measured
     """
 
     path: Path
@@ -75,12 +82,19 @@ class DataSet:
     runs: dict[str, MeasuredRun]
     geometry: list[Row]
     fingerprint: str
+    places: int = 0
+
+    @property
+    def measured_terms(self) -> tuple[str, ...]:
+        """Names of the terms that were measured themselves, in the machine's order."""
+        measured = {term for term, _ in self.columns}
+        return tuple(t.name for t in self.machine.terms if t.name in measured)
 
     @property
     def terms(self) -> tuple[str, ...]:
-        """Names of the measured terms, in the machine's order."""
-        measured = {term for term, _ in self.columns}
-        return tuple(t.name for t in self.machine.terms if t.name in measured)
+        """Names of the terms that can be learned: the measured ones, and of a measured tip all that move it."""
+        known = {*self.measured_terms, *(moving_terms(self.machine) if self.places else ())}
+        return tuple(t.name for t in self.machine.terms if t.name in known)
 
 
 def load_dataset(path: str | Path) -> DataSet:
@@ -102,32 +116,77 @@ def load_dataset(path: str | Path) -> DataSet:
     if telemetry is None:
         raise DataError(f"data set '{path}' must have telemetry.parquet or telemetry.csv, got neither")
     runs, channels = read_telemetry(telemetry, sensors)
-    terms = find_table(path, "error_terms")
-    if terms is None:
+    labels, tips = find_table(path, "error_terms"), find_table(path, "tool_tip")
+    if labels is None and tips is None:
         raise DataError(
-            f"data set '{path}' must have error_terms.parquet or error_terms.csv, got neither; "
-            "training on tool_tip alone is not supported yet"
+            f"data set '{path}' must have error_terms.parquet or error_terms.csv, or tool_tip.parquet or tool_tip.csv, "
+            "got none of them"
         )
-    columns, measured = _read_terms(read_table(terms, ("run", "time_s", "term", "position", "value"), _TEXT), machine)
-    for name in measured:
-        if name not in runs:
-            raise DataError(f"'{terms}': run '{name}' must be in the telemetry, got {', '.join(runs)}")
+    columns, measured = (
+        ((), {})
+        if labels is None
+        else _read_terms(read_table(labels, ("run", "time_s", "term", "position", "value"), _TEXT), machine)
+    )
+    touched = {} if tips is None else read_touches(tips, machine, LARGEST_UM)
     datum = _datum(path)
+    file = find_table(path, "geometry")
+    geometry = [] if file is None else _read_geometry(file, machine)
+    if geometry and datum == "absolute":  # since the run's start, the cold machine's errors have cancelled
+        cold = ErrorMap.from_rows(machine, geometry)
+        touched = {name: without_cold(touches, machine, cold) for name, touches in touched.items()}
+    places = Places.of(touched.values())
     labelled: dict[str, MeasuredRun] = {}
-    for name, (time_s, values) in measured.items():
-        run = runs[name]
-        outside = (time_s < run.time_s[0]) | (time_s > run.time_s[-1])
-        if outside.any():
-            raise DataError(
-                f"'{terms}': measurements of run '{name}' must lie within its telemetry, "
-                f"{run.time_s[0]:g} to {run.time_s[-1]:g} s, got {time_s[outside][0]:g}"
-            )
-        if len(time_s) < 2:
-            raise DataError(f"'{terms}': run '{name}' must have at least two times of measurement, got one")
-        labelled[name] = MeasuredRun(run, time_s, values)
-    geometry = find_table(path, "geometry")
-    rows = [] if geometry is None else _read_geometry(geometry, machine)
-    return DataSet(path, machine, datum, sensors, tuple(channels), columns, labelled, rows, _fingerprint(path))
+    for name in dict.fromkeys([*measured, *touched]):
+        sources = [(labels, measured[name][0])] if name in measured else []
+        sources += [(tips, touched[name].time_s)] if name in touched else []
+        for source, times in sources:
+            _check_times(f"'{source}'", name, times, runs)
+        labelled[name] = _measured_run(
+            runs[name],
+            measured.get(name, (np.zeros(0), np.zeros((0, len(columns))))),
+            touched.get(name, no_touches(machine)),
+            places,
+        )
+        if len(labelled[name].time_s) < 2:
+            raise DataError(f"'{sources[0][0]}': run '{name}' must have at least two times of measurement, got one")
+    found = _fingerprint(path)
+    dataset = DataSet(path, machine, datum, sensors, tuple(channels), columns, labelled, geometry, found, places.count)
+    return _without_idle_touches(dataset)
+
+
+def _without_idle_touches(dataset: DataSet) -> DataSet:
+    """Return the data set without tip deviations, where each stands beside all terms: they say nothing new."""
+    count = len(dataset.columns)
+    for run in dataset.runs.values():
+        touched = np.isfinite(run.values[:, count:]).any(axis=1)
+        if not np.isfinite(run.values[touched, :count]).all():
+            return dataset
+    if not set(moving_terms(dataset.machine)) <= set(dataset.measured_terms):
+        return dataset
+    runs = {name: replace(run, values=run.values[:, :count], places=None) for name, run in dataset.runs.items()}
+    return replace(dataset, runs=runs, places=0)
+
+
+def _check_times(where: str, name: str, time_s: Array, runs: dict[str, Run]) -> None:
+    if name not in runs:
+        raise DataError(f"{where}: run '{name}' must be in the telemetry, got {', '.join(runs)}")
+    run = runs[name]
+    outside = (time_s < run.time_s[0]) | (time_s > run.time_s[-1])
+    if outside.any():
+        raise DataError(
+            f"{where}: measurements of run '{name}' must lie within its telemetry, "
+            f"{run.time_s[0]:g} to {run.time_s[-1]:g} s, got {time_s[outside][0]:g}"
+        )
+
+
+def _measured_run(telemetry: Run, terms: tuple[Array, Array], touches: Touches, places: Places) -> MeasuredRun:
+    """Return a run with everything that was measured, at the times of either kind."""
+    times, measured = terms
+    time_s = np.union1d(times, touches.time_s)
+    q, deviation = places.arrange(touches, time_s)
+    values = np.concatenate([np.full((len(time_s), measured.shape[1]), np.nan), deviation.reshape(len(time_s), -1)], 1)
+    values[np.searchsorted(time_s, times), : measured.shape[1]] = measured
+    return MeasuredRun(telemetry, time_s, values, q if places.count else None)
 
 
 _TEXT = ("run", "term")
@@ -150,7 +209,7 @@ def _check_size(value: float, where: str, row: int) -> None:
 
 def _fingerprint(path: Path) -> str:
     digest = hashlib.sha256()
-    for name in ("machine", "dataset", "telemetry", "error_terms", "geometry"):
+    for name in ("machine", "dataset", "telemetry", "error_terms", "tool_tip", "geometry"):
         for file in sorted(path.glob(f"{name}.*")):
             digest.update(file.name.encode())
             digest.update(hashlib.sha256(file.read_bytes()).digest())

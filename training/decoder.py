@@ -1,5 +1,7 @@
 """The linear decoder in closed form: generalised ridge regression on the thermal modes.
 
+Here the coefficients of the fields are known; where the tip was measured instead, see `training/tip_decoder.py`.
+
 What the modes cannot explain is correlated over time, so neighbouring measurements say little anew. Rows are
 whitened as a first-order autoregressive process (Cochrane and Orcutt, J. Am. Stat. Assoc. 44 (1949) 32; Prais and
 Winsten, 1954), and the penalty is set against the number of independent measurements that remains. So the decoder
@@ -11,11 +13,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from model.transforms import Array
 from training.labels import patterns
 from training.samples import Samples
+from training.tip_decoder import solve_weights
 
 BIAS_SIZE = 1.0
 """Prior size of the constant part of absolute deviations, beside one typical temperature swing (chosen)."""
@@ -37,9 +41,7 @@ class Whitening:
     @classmethod
     def of(cls, samples: Samples, correlation_s: float) -> Whitening:
         """Return the whitening of rows in time order within each run."""
-        gap = np.diff(samples.time_s)
-        same = np.diff(samples.run) == 0
-        keep = np.concatenate([[0.0], np.where(same, np.exp(-np.where(same, gap, 0.0) / correlation_s), 0.0)])
+        keep = kept(samples.time_s, samples.run, correlation_s)
         return cls(keep, float(((1.0 - keep) / (1.0 + keep)).sum()))
 
     def apply(self, rows: Array) -> Array:
@@ -48,6 +50,13 @@ class Whitening:
         keep = self.keep[:, None]
         whitened: Array = (rows - keep * before) / np.sqrt(1.0 - keep**2)
         return whitened
+
+
+def kept(time_s: Array, run: NDArray[np.intp], correlation_s: float) -> Array:
+    """Return the correlation of each row with the one before, shape (N,), 0 at the first of each run."""
+    gap = np.diff(time_s)
+    same = np.diff(run) == 0
+    return np.concatenate([[0.0], np.where(same, np.exp(-np.where(same, gap, 0.0) / correlation_s), 0.0)])
 
 
 def solve_decoder(samples: Samples, *, ridge: float, correlation_s: float, bias: bool) -> tuple[Array, Array]:
@@ -73,4 +82,10 @@ def solve_decoder(samples: Samples, *, ridge: float, correlation_s: float, bias:
         y = whitening.apply(samples.targets[np.ix_(rows, columns)])
         normal = x.T @ x / whitening.effective + ridge * np.eye(width + 1)
         found[:, columns] = cho_solve(cho_factor(normal), x.T @ y / whitening.effective)
+    if samples.information is not None:
+        whitening = Whitening.of(samples, correlation_s)
+        known, damping = samples.information, ridge * whitening.effective
+        weights = solve_weights(features, known, whitening.keep, samples.run, damping)
+        # What the tip does not see, only terms that were measured themselves can say.
+        found = known.directions.coefficients(weights) + known.directions.unseen(found)
     return found[:-1], found[-1] * (BIAS_SIZE if bias else 0.0)

@@ -17,11 +17,13 @@ from model.predictor import Predictor
 from model.sensors import SensorModel
 from training.baselines import fit_ridge
 from training.dataset import DataSet, load_dataset, runs_named
-from training.evaluation import NETWORK, NO_COMPENSATION, RIDGE, Method, Score, compare, network_method, scored_rows
+from training.evaluation import NETWORK, NO_COMPENSATION, RIDGE, Method, Score, compare, scored_rows
 from training.export import write_network
+from training.making import Making, Stopwatch
 from training.settling import settling_time_s
 from training.split import Mask, Split, default_split, everything, split_by_run
 from training.tip import TipMetric, tip_metric
+from training.tip_methods import judged_network, on_terms
 from training.trainer import Settings, Verdict, train_network
 
 
@@ -36,6 +38,7 @@ class Result:
     tested : the same, run by run
     seen : of these, runs that the bundle was trained on
     note : which of the left-out measurements are not scored, or how; empty where all are
+    making : how the bundle came about, where this job made it
     """
 
     machine: str
@@ -48,6 +51,7 @@ class Result:
     tested: Mapping[str, Mask]
     seen: list[str]
     note: str
+    making: Making | None = None
 
     @property
     def test_runs(self) -> list[str]:
@@ -100,7 +104,9 @@ def train_bundle(path: Path, out: Path, test_runs: list[str] | None, seed: int) 
     """
     torch.set_num_threads(1)  # the tensors are small; threads would wait for each other
     check_free(out)
+    watch = Stopwatch()
     dataset = load_dataset(path)
+    watch.lap("reading the data set")
     split = (
         default_split(dataset, seed)
         if test_runs is None
@@ -110,21 +116,34 @@ def train_bundle(path: Path, out: Path, test_runs: list[str] | None, seed: int) 
     compare(dataset, split.test, {}, metric)  # is there something to test on? That is better known before training
     settings = Settings(seed=seed)
     final = everything(dataset) if test_runs is None else split
-    trained = _Trained(dataset, split, metric, settings)
+    measured = trained = _Trained(dataset, split, metric, settings)
+    watch.lap("training without the left-out part")
     with tempfile.TemporaryDirectory() as folder:
         predictor = Predictor(trained.write(Path(folder) / "bundle", settling_s=0.0, test={}))
-    ridge = fit_ridge(dataset, split, metric, trained.sensor_model)
-    methods = {RIDGE: ridge.predict, NETWORK: network_method(predictor, dataset, metric)}
+    watch.lap("exporting and checking the ONNX file")
+    sensor_model = trained.sensor_model
+    ridge = on_terms(
+        lambda terms, grid: fit_ridge(terms, split, grid, sensor_model).predict, dataset, metric, settings.degree
+    )
+    watch.lap("fitting the baselines")
+    methods = {RIDGE: ridge, NETWORK: judged_network(predictor, dataset, metric)}
     scores = compare(dataset, split.test, methods, metric)
+    watch.lap("scoring")
     settling_s = settling_time_s(predictor, dataset, metric)
+    watch.lap("measuring the settling time")
     if test_runs is None:
         trained = _Trained(dataset, final, metric, settings, trained.verdict)
+        watch.lap("training on everything")
     note = scored_rows(dataset, split.test, metric).note
     test = {"left_out": split.description, "note": note, "scores": {name: s.as_dict() for name, s in scores.items()}}
     bundle = trained.write(out, settling_s=settling_s, test=test)
+    watch.lap("exporting and checking the ONNX file")
+    making = Making(split, predictor, measured.training, trained.training, watch.seconds)
     seen = split.test_runs if test_runs is None else []
     left_out = split.description
-    return Result(dataset.machine.name, bundle, dataset, metric, methods, scores, left_out, split.test, seen, note)
+    return Result(
+        dataset.machine.name, bundle, dataset, metric, methods, scores, left_out, split.test, seen, note, making
+    )
 
 
 class _Trained:
@@ -141,12 +160,12 @@ class _Trained:
         self._dataset, self._split, self._settings = dataset, split, settings
         readings = [dataset.runs[name].telemetry.temperatures for name in split.train_runs]
         self.sensor_model = SensorModel.fit(np.concatenate(readings))
-        self._training = train_network(dataset, split, metric, self.sensor_model, settings, verdict)
+        self.training = train_network(dataset, split, metric, self.sensor_model, settings, verdict)
 
     @property
     def verdict(self) -> Verdict:
         """Whether the nonlinear residual was kept."""
-        return self._training.verdict
+        return self.training.verdict
 
     def write(self, path: Path, *, settling_s: float, test: dict[str, Any]) -> Bundle:
         """Write the bundle."""
@@ -154,8 +173,8 @@ class _Trained:
         return write_network(
             path,
             dataset,
-            self._training.net,
-            self._training.fields,
+            self.training.net,
+            self.training.fields,
             self.sensor_model,
             self._split.train_runs,
             settling_time_s=settling_s,
@@ -188,7 +207,7 @@ def evaluate_bundle(path: Path, dataset_path: Path, runs: list[str] | None) -> R
         )
     chosen = list(dataset.runs) if runs is None else runs_named(dataset, runs, "--runs")
     metric = tip_metric(dataset)
-    methods = {NETWORK: network_method(Predictor(bundle), dataset, metric)}
+    methods = {NETWORK: judged_network(Predictor(bundle), dataset, metric)}
     left_out = {name: np.ones(len(dataset.runs[name].time_s), dtype=bool) for name in chosen}
     scores = compare(dataset, left_out, methods, metric)
     trained = bundle.manifest.training.get("runs", [])

@@ -21,6 +21,8 @@ def to_coefficients(values: Array, coverage: Coverage, fields: Fields) -> Array:
     """
     coefficients = np.full((len(values), fields.size), np.nan)
     for name, where in fields.slices().items():
+        if name not in coverage:
+            continue
         reach = coverage[name]
         known = np.isfinite(values[:, reach.columns])
         shown = np.flatnonzero(reach.shown(known))

@@ -46,6 +46,8 @@ def draw_test_run(
 ) -> None:
     """Draw the deviation in x, y and z at the middle of the working volume, and what each method leaves of it.
 
+    Where the tip was measured instead of terms, the mean over the positions of each time.
+
     Where only part of the run was left out, that part is shaded.
     """
     matplotlib.use("Agg")
@@ -70,7 +72,8 @@ def draw_test_run(
         axis.grid(alpha=0.3)
     axes[0].legend(loc="best", ncols=3, frameon=False)
     at = ", ".join(f"{a} {v:.0f}" for a, v in zip(machine.axis_names, metric.positions[point], strict=True))
-    axes[0].set_title(f"{machine.name}, left-out run {run_name}, tool tip at {at} mm", loc="left")
+    where = "mean over the measured positions" if metric.places and not metric.complete else f"at {at} mm"
+    axes[0].set_title(f"{machine.name}, left-out run {run_name}, tool tip {where}", loc="left")
     axes[3].plot(hours, np.sqrt(metric.mean_square(truth)) * gaps, color="black", lw=2.4, label="no compensation")
     for name, terms in said.items():
         left = np.sqrt(metric.mean_square(truth - terms))

@@ -30,6 +30,7 @@ def fit_residual(
     correlation_s: float,
     seed: int,
     reporter: Reporter,
+    curve: list[float],
 ) -> Residual | None:
     """Return a residual fitted to what the linear decoder leaves, or None where too little was measured.
 
@@ -39,6 +40,7 @@ def fit_residual(
     form : shape (P, P), the tip's mean square as a quadratic form of the coefficients
     steps : of the optimiser, each over all samples
     reporter : counts the steps
+    curve : takes the share of the linear decoder's residual that is left, step by step (root mean square)
     """
     whole = samples.where(np.asarray(np.isfinite(samples.targets).all(axis=1)))
     directions = _directions(whole, linear, form)
@@ -70,7 +72,8 @@ def fit_residual(
         loss = loss_of((out - keep * before) / torch.sqrt(1.0 - keep**2), wanted)
         loss.backward()
         optimiser.step()
-        reporter.advance(f"left of the linear decoder's residual {float(loss.detach()) ** 0.5:.0%}")
+        curve.append(float(loss.detach()) ** 0.5)
+        reporter.advance(f"left of the linear decoder's residual {curve[-1]:.0%}")
     return residual
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ from model.sensors import SensorModel
 from model.transforms import Array
 from training.coverage import Coverage
 from training.dataset import DataSet, interpolation
+from training.information import Information, gather
 from training.labels import to_coefficients
 from training.split import Mask
 
@@ -30,6 +31,7 @@ class Samples:
     targets : shape (N, P), coefficients of the fields [µm, µrad], NaN where not measured
     run : shape (N,), number of the run
     time_s : shape (N,)
+    information : what the measurements say where the tip was measured; None where the targets say it all
     """
 
     features: Array
@@ -37,10 +39,13 @@ class Samples:
     targets: Array
     run: NDArray[np.intp]
     time_s: Array
+    information: Information | None = None
 
     def where(self, rows: NDArray[np.bool_]) -> Samples:
         """Return the samples of a mask."""
-        return Samples(self.features[rows], self.first[rows], self.targets[rows], self.run[rows], self.time_s[rows])
+        information = None if self.information is None else self.information.where(rows)
+        parts = (self.features[rows], self.first[rows], self.targets[rows], self.run[rows], self.time_s[rows])
+        return Samples(*parts, information)
 
 
 def input_scale(dataset: DataSet, train_runs: list[str], sensor_model: SensorModel) -> InputScale:
@@ -82,6 +87,7 @@ def collect(
         where they never show one of the terms.
     """
     parts: list[Samples] = []
+    tips: list[tuple[Array, Array]] = []
     for number, (name, mask) in enumerate(masks.items()):
         if not mask.any():
             continue
@@ -97,11 +103,22 @@ def collect(
         first = np.broadcast_to(features[0] if dataset.datum == "run-start" else 0.0 * features[0], at.shape)
         targets = to_coefficients(run.values[mask], coverage, fields)
         parts.append(Samples(at - first, first, targets, np.full(len(at), number), run.time_s[mask]))
+        if run.places is not None:
+            tips.append((run.places[mask], run.values[mask, len(dataset.columns) :].reshape(len(at), -1, 3)))
     samples = Samples(
-        *(np.concatenate([getattr(p, f) for p in parts]) for f in ("features", "first", "targets", "run", "time_s"))
+        features=np.concatenate([p.features for p in parts]),
+        first=np.concatenate([p.first for p in parts]),
+        targets=np.concatenate([p.targets for p in parts]),
+        run=np.concatenate([p.run for p in parts]),
+        time_s=np.concatenate([p.time_s for p in parts]),
     )
-    for name, where in fields.slices().items():
-        if not np.isfinite(samples.targets[:, where]).any():
+    if tips:
+        q, deviation = (np.concatenate(part) for part in zip(*tips, strict=True))
+        samples = replace(samples, information=gather(fields, samples.targets, q, deviation))
+        if samples.information is not None:
+            return samples
+    for name in dataset.measured_terms:
+        if not np.isfinite(samples.targets[:, fields.slices()[name]]).any():
             raise DataError(
                 f"measurements to train on must show {name}, got it in the left-out part of '{dataset.path}' alone; "
                 "leave out other runs (--test-runs)"

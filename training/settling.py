@@ -6,8 +6,9 @@ import numpy as np
 
 from model.predictor import Predictor
 from model.telemetry import Run
+from model.transforms import Array
 from training.dataset import DataSet
-from training.evaluation import column_basis
+from training.effects import judged_form
 from training.tip import TipMetric
 
 HARDLY = 0.1
@@ -20,7 +21,7 @@ def settling_time_s(predictor: Predictor, dataset: DataSet, metric: TipMetric) -
     A service that is switched on with a warm machine takes the thermal modes to be in equilibrium, which they are
     not; this is how long that is felt, averaged over the runs. The longest half run, where it never settles.
     """
-    basis = metric.from_columns(column_basis(predictor.fields, dataset.columns))
+    form = judged_form(dataset, metric, predictor.fields)
     times: list[float] = []
     for measured in dataset.runs.values():
         run = measured.telemetry
@@ -29,9 +30,15 @@ def settling_time_s(predictor: Predictor, dataset: DataSet, metric: TipMetric) -
         if len(late.time_s) < 2:
             continue
         whole = predictor.follow(run)
-        gap = np.sqrt(metric.mean_square((predictor.follow(late) - whole[middle:]) @ basis.T))
-        drift = np.sqrt(metric.mean_square((whole - whole[0]) @ basis.T).max())
+        gap = _size(predictor.follow(late) - whole[middle:], form)
+        drift = _size(whole - whole[0], form).max()
         felt = np.flatnonzero(gap > HARDLY * drift)
         last = min(int(felt[-1]) + 1, len(late.time_s) - 1) if len(felt) else 0
         times.append(float(late.time_s[last] - late.time_s[0]))
     return float(np.mean(times)) if times else 0.0
+
+
+def _size(coefficients: Array, form: Array) -> Array:
+    """Return the tip's root mean square over the volume [µm], shape (T,)."""
+    size: Array = np.sqrt(np.maximum(((coefficients @ form) * coefficients).sum(axis=1), 0.0))
+    return size

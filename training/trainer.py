@@ -1,4 +1,4 @@
-"""Train the thermal network on the measured error terms of a data set."""
+"""Train the thermal network on the measurements of a data set: error terms, tool-tip deviations, or both."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from model.sensors import SensorModel
 from model.transforms import Array
 from training.dataset import DataSet
 from training.decoder import solve_decoder
-from training.evaluation import column_basis
+from training.effects import judged_form
 from training.residual import fit_residual
 from training.samples import Samples, collect, input_scale
 from training.split import Split
@@ -74,11 +74,18 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Training:
-    """A trained network."""
+    """A trained network.
+
+    Attributes
+    ----------
+    curves : of each fit of the residual, its loss step by step (see `residual.fit_residual`): the folds' first, then
+        that of the residual in the network, where it was kept
+    """
 
     net: ThermalNetwork
     fields: Fields
     verdict: Verdict
+    curves: list[list[float]] = field(default_factory=list)
 
 
 def train_network(
@@ -105,9 +112,9 @@ def train_network(
     scale = input_scale(dataset, split.train_runs, sensor_model)
     net = ThermalNetwork(scale, settings.prior, fields.size)
     samples = collect(net, dataset, split.train, metric.coverage, fields, sensor_model)
-    basis = metric.from_columns(column_basis(fields, dataset.columns))
-    decoder = _Decoder(settings, basis.T @ metric.gram @ basis, bias=dataset.datum == "absolute")
-    folds = _folds(samples, settings.folds) if verdict is None else []
+    decoder = _Decoder(settings, judged_form(dataset, metric, fields), bias=dataset.datum == "absolute")
+    shown = bool(np.isfinite(samples.targets).all(axis=1).any())  # the residual learns from times that show all terms
+    folds = _folds(samples, settings.folds) if verdict is None and shown else []
     with Reporter("training", settings.steps * (len(folds) + 1)) as reporter:
         if verdict is None:
             verdict = decoder.verdict(samples, folds, reporter)
@@ -118,7 +125,7 @@ def train_network(
         net.linear.copy_(torch.tensor(linear))
         net.bias.copy_(torch.tensor(bias))
     net.residual = residual
-    return Training(net, fields, verdict)
+    return Training(net, fields, verdict, [c for c in decoder.curves if c])
 
 
 class _Decoder:
@@ -126,6 +133,7 @@ class _Decoder:
 
     def __init__(self, settings: Settings, form: Array, *, bias: bool) -> None:
         self._settings, self._form, self._bias = settings, form, bias
+        self.curves: list[list[float]] = []
 
     def fit(self, samples: Samples, reporter: Reporter, *, residual: bool) -> tuple[Array, Array, Residual | None]:
         """Return the linear decoder's weights and bias, and the residual, if it is wanted."""
@@ -133,6 +141,7 @@ class _Decoder:
         linear, bias = solve_decoder(samples, ridge=s.ridge, correlation_s=s.correlation_s, bias=self._bias)
         if not residual:
             return linear, bias, None
+        self.curves.append([])
         fitted = fit_residual(
             samples,
             linear,
@@ -145,6 +154,7 @@ class _Decoder:
             correlation_s=s.correlation_s,
             seed=s.seed,
             reporter=reporter,
+            curve=self.curves[-1],
         )
         return linear, bias, fitted
 
