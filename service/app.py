@@ -9,16 +9,36 @@ from contextlib import asynccontextmanager
 from importlib.metadata import version
 
 from fastapi import FastAPI
+from starlette.types import ASGIApp
 
 from model.bundle import Bundle
 from model.exceptions import InputError
 from service import docs, problems
 from service.body_limit import BodyLimit
 from service.machine_state import MachineState
-from service.routes import compensate, datum, errors, health, machines, telemetry
+from service.metrics import Metrics, RequestMetrics
+from service.request_id import RequestIds
+from service.routes import compensate, datum, error_map, errors, health, machines, metrics, telemetry
+from service.security_headers import SecurityHeaders
 from service.settings import Settings
 
 log = logging.getLogger(__name__)
+
+DESCRIPTION = """\
+Every error is an RFC 9457 problem. Every answer carries an `X-Request-ID`: the client's, where it sent one of up to 128
+letters, digits and `._:/+=@-`, or one made here. Problems and log lines name it, too.
+"""
+
+
+class _App(FastAPI):
+    """FastAPI inside the middleware that concerns every answer, that to an exception nobody expected included.
+
+    The framework puts its own handling of those outside of all middleware that is added to it.
+    """
+
+    def build_middleware_stack(self) -> ASGIApp:
+        counted = RequestMetrics(super().build_middleware_stack(), self.state.metrics)
+        return RequestIds(SecurityHeaders(counted))
 
 
 def create_app(
@@ -49,9 +69,10 @@ def create_app(
         yield
         app.state.machines = None
 
-    app = FastAPI(
+    app = _App(
         title="thermotrue",
         summary="Thermal and volumetric error compensation for machine tools.",
+        description=DESCRIPTION,
         version=version("thermotrue"),
         lifespan=lifespan,
         docs_url=None,
@@ -59,12 +80,12 @@ def create_app(
         redirect_slashes=False,
         responses=problems.RESPONSES,
     )
+    app.state.metrics = Metrics()
     problems.install(app)
     app.add_middleware(BodyLimit)
     docs.install(app)
-    app.include_router(health.router)
-    for module in (machines, telemetry, compensate, errors, datum):
-        app.include_router(module.router, prefix="/v1")
+    for module in (health, metrics, machines, telemetry, compensate, errors, error_map, datum):
+        app.include_router(module.router)
     return app
 
 

@@ -75,8 +75,7 @@ def run(app: FastAPI, listener: socket.socket, settings: Settings, ready: Callab
     """
     config = uvicorn.Config(
         app,
-        log_config=None,
-        log_level="warning",
+        log_config=None,  # and no level either: it would undo what `service.logs` has set
         access_log=settings.access_log,
         server_header=False,
         timeout_graceful_shutdown=GRACE_S,

@@ -6,13 +6,14 @@ import json
 import logging
 import logging.config
 
+from service.request_id import current
 from service.timestamps import format_time
 
 _USUAL = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "color_message", "taskName"}
 
 
 class JsonLines(logging.Formatter):
-    """One JSON object a line: time, level, event, and whatever the event carries."""
+    """One JSON object a line: time, level, event, the id of the request it belongs to, and what the event carries."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line."""
@@ -21,6 +22,9 @@ class JsonLines(logging.Formatter):
             "level": record.levelname.lower(),
             "event": record.getMessage(),
         }
+        request_id = current()
+        if request_id is not None:
+            line["request_id"] = request_id
         line |= {key: value for key, value in vars(record).items() if key not in _USUAL}
         if record.exc_info:
             line["traceback"] = self.formatException(record.exc_info)

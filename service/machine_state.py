@@ -10,6 +10,7 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from service.safety import LARGEST_TERM, Served, Target, advance, clip, is_usabl
 from service.schemas import Sample
 from service.settings import Settings
 from service.status import Condition, Status, most_serious
+from service.survey import Survey
 from service.thermal import Thermal, Zero
 
 log = logging.getLogger(__name__)
@@ -76,6 +78,8 @@ class Correction:
     corrected, correction_mm : shape (n, A) [mm]
     deviation_mm : shape (n, 3), predicted at the programmed positions, not limited
     limited : shape (n,)
+    predicted : the error map that the deviations come from
+    tool_mm : tool tip in the tool frame; None is the machine's own
     """
 
     outlook: Outlook
@@ -83,6 +87,17 @@ class Correction:
     correction_mm: Array
     deviation_mm: Array
     limited: NDArray[np.bool_]
+    predicted: ErrorMap
+    tool_mm: Array | None
+
+
+@dataclass
+class Counts:
+    """What has come in since the start: samples taken in, samples of no use, positions compensated."""
+
+    accepted: int = 0
+    refused: int = 0
+    positions: int = 0
 
 
 class MachineState:
@@ -117,6 +132,7 @@ class MachineState:
         if bundle.manifest.network is not None:
             self.thermal = Thermal(Predictor(bundle), bundle.manifest.network, bundle.machine)
         self.served: Served | None = None
+        self.counts = Counts()
         self._reach = Reach.of(self.chain)
         self._target = Target(bundle.geometry, None, 0.0)
         self._status = Status.OK
@@ -131,6 +147,10 @@ class MachineState:
         now_s = self.clock() if time_s is None else time_s
         return now_s if self.served is None else max(now_s, self.served.time_s)
 
+    def passes(self, now_s: float) -> float:
+        """Return the time on the clock that the rate limit goes by."""
+        return now_s if self.settings.replay else self.steady()
+
     @property
     def zero(self) -> Zero:
         """The datum in force."""
@@ -138,6 +158,12 @@ class MachineState:
 
     def take(self, samples: Sequence[Sample]) -> Receipt:
         """Advance the thermal state by samples, in the order of their times."""
+        receipt = self._take(samples)
+        self.counts.accepted += receipt.accepted
+        self.counts.refused += receipt.ignored
+        return receipt
+
+    def _take(self, samples: Sequence[Sample]) -> Receipt:
         if self.thermal is None:
             unused = f"machine '{self.machine.name}' has no network, so telemetry does not change its correction"
             return Receipt(0, len(samples), [unused])
@@ -174,29 +200,56 @@ class MachineState:
             conditions.append(Condition(Status.DEGRADED, sentence))
         return Outlook(now_s, self._target, tuple(conditions))
 
+    def hand_out(self, tool_length_mm: float | None, now_s: float) -> tuple[Outlook, Served]:
+        """Hand out the error map that is served now, for a client that compensates by itself.
+
+        It counts as served, as corrections do: otherwise it could run ahead of the rate limit.
+
+        Parameters
+        ----------
+        tool_length_mm : the longest tool that it is used with; None is the machine's own
+        """
+        outlook, served = self._advanced(tool_length_mm, now_s)
+        self.served = served
+        conditions = outlook.conditions + self._on_the_way(served)
+        self._tell(most_serious(conditions))
+        return Outlook(self.now(now_s), outlook.target, conditions), served
+
     def compensate(self, q: Array, tool_length_mm: float | None, now_s: float) -> Correction:
         """Hand out corrections for positions q of shape (n, A) [mm], moving what is served towards the target."""
-        outlook = self.outlook(now_s)
-        limits = self.machine.limits
+        outlook, served = self._advanced(tool_length_mm, now_s)
         tool_mm = None
         if tool_length_mm is not None:
             tool_mm = tool_length_mm * np.asarray(self.machine.tool.direction)
-        self._reach = self._reach.including(tool_length_mm)
-        passes_s = now_s if self.settings.replay else self.steady()
-        served = advance(self.served, outlook.target, passes_s, limits, self._reach)
         solved = compensate(self.chain, q, served.errors, tool_mm).corrected
-        correction, clipped = clip(solved - q, limits)
-        target = outlook.target.errors if outlook.target.usable else served.errors
-        deviation = self.chain.tip(q, target.evaluate(q), tool_mm) - self.chain.tip(q, None, tool_mm)
+        correction, clipped = clip(solved - q, self.machine.limits)
+        predicted = outlook.target.errors if outlook.target.usable else served.errors
+        deviation = self.chain.tip(q, predicted.evaluate(q), tool_mm) - self.chain.tip(q, None, tool_mm)
         if not (np.isfinite(correction).all() and np.isfinite(deviation).all()):
             raise ComputeError("corrections must be finite numbers, got others; nothing was served")
         self.served = served
-        conditions = outlook.conditions + self._on_the_way(served, int(clipped.sum()), q + correction)
+        self.counts.positions += len(q)
+        conditions = outlook.conditions + self._on_the_way(served) + self._bounded(int(clipped.sum()), q + correction)
         self._tell(most_serious(conditions))
         limited = clipped | (not served.arrived)
-        return Correction(
-            Outlook(self.now(now_s), outlook.target, conditions), q + correction, correction, deviation, limited
-        )
+        at = Outlook(self.now(now_s), outlook.target, conditions)
+        return Correction(at, q + correction, correction, deviation, limited, predicted, tool_mm)
+
+    def largest_correction_um(self) -> float | None:
+        """Return the largest correction over the working volume, as served last; None before anything was."""
+        if self.served is None:
+            return None
+        return min(self._survey.largest_um(self.served.errors), self.machine.limits.max_correction_um)
+
+    @cached_property
+    def _survey(self) -> Survey:
+        return Survey.of(self.chain)
+
+    def _advanced(self, tool_length_mm: float | None, now_s: float) -> tuple[Outlook, Served]:
+        """Return what is wanted and what may be served now, and serve nothing yet."""
+        outlook = self.outlook(now_s)
+        self._reach = self._reach.including(tool_length_mm)
+        return outlook, advance(self.served, outlook.target, self.passes(now_s), self.machine.limits, self._reach)
 
     def evaluate(self, outlook: Outlook, q: Array) -> tuple[Array, Array]:
         """Return geometric and thermal error terms at positions, each of shape (n, K) [mm, rad].
@@ -214,17 +267,22 @@ class MachineState:
         thermal = ErrorMap.zero(self.machine) if target.thermal is None else target.thermal
         return target.geometric.evaluate(q), thermal.scaled(target.weight).evaluate(q)
 
-    def _on_the_way(self, served: Served, clipped: int, corrected: Array) -> tuple[Condition, ...]:
-        """Return what the limits did, and corrected coordinates that leave their axis' range."""
+    def _on_the_way(self, served: Served) -> tuple[Condition, ...]:
+        """Return what the rate limit did."""
+        if served.arrived or served.held:
+            return ()
+        sentence = (
+            f"the correction is up to {served.remaining_um:.3g} µm from its target and moves there at no more "
+            f"than {self.machine.limits.max_rate_um_per_min:g} µm/min"
+        )
+        return (Condition(Status.OK, sentence),)
+
+    def _bounded(self, clipped: int, corrected: Array) -> tuple[Condition, ...]:
+        """Return what the absolute limit did, and corrected coordinates that leave their axis' range."""
         sentences: list[str] = []
-        limits = self.machine.limits
-        if not served.arrived and not served.held:
-            sentences.append(
-                f"the correction is up to {served.remaining_um:.3g} µm from its target and moves there at no more "
-                f"than {limits.max_rate_um_per_min:g} µm/min"
-            )
         if clipped:
-            sentences.append(f"{clipped} positions are limited to ±{limits.max_correction_um:g} µm on an axis")
+            most_um = self.machine.limits.max_correction_um
+            sentences.append(f"{clipped} positions are limited to ±{most_um:g} µm on an axis")
         for column, name in enumerate(self.machine.axis_names):
             axis = self.machine.axes[name]
             leaving = int(((corrected[:, column] < axis.low) | (corrected[:, column] > axis.high)).sum())

@@ -12,12 +12,13 @@ from urllib.parse import quote
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
 from model.exceptions import ComputeError, InputError, ThermotrueError
 from model.validation import sentence
+from service.request_id import HEADER, current
 
 log = logging.getLogger(__name__)
 
@@ -34,11 +35,28 @@ class ProblemDetails(BaseModel):
     status: int
     detail: str = Field(description="What must hold, what came, where, what to do.")
     instance: str = Field(description="The path that was asked for.")
+    request_id: str = Field(description="As in the header X-Request-ID, and in the service's log.")
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "type": "urn:thermotrue:problem:invalid-request",
+                    "title": "Unprocessable Entity",
+                    "status": 422,
+                    "detail": "axis 'X' must lie within 0 and 800 mm, got 800.5 in positions[1]",
+                    "instance": "/v1/machines/vmc3/compensate",
+                    "request_id": "3f2a7c1e9b5d4c60a1f8e2d7b6c59403",
+                }
+            ]
+        }
+    )
 
 
 RESPONSES: dict[int | str, dict[str, Any]] = {
     "default": {
         "description": "Any error, as RFC 9457 problem details.",
+        "headers": {HEADER: {"description": "The request's id.", "schema": {"type": "string"}}},
         "content": {MEDIA_TYPE: {"schema": ProblemDetails.model_json_schema()}},
     }
 }
@@ -168,6 +186,7 @@ def _respond(
         status=status,
         detail=detail,
         instance=quote(request.url.path, errors="replace"),
+        request_id=current() or "",
     )
     # ASCII, since a client may have sent half a surrogate pair, which is quoted here and has no UTF-8.
     content = json.dumps(body.model_dump(), ensure_ascii=True)

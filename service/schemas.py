@@ -11,6 +11,8 @@ from service.timestamps import QueryTimestamp, Timestamp
 
 MAX_POSITIONS_PER_REQUEST = 2000
 """Their correction takes about 0.1 s of one core, which other requests wait for."""
+MAX_EXPLAINED_PER_REQUEST = 100
+"""Each has up to a kilobyte for each of 20 terms, and a client that wants more wants `/errors` or `/map`."""
 MAX_SAMPLES_PER_REQUEST = 4000
 """An hour at one a second with room to spare; the network steps through them in about half a second."""
 MAX_TOOL_LENGTH_MM = 2000.0
@@ -58,6 +60,17 @@ class CompensateRequest(Body):
     channels: dict[Name, Number] | None = Field(None, description="Goes with `temperatures`.")
 
 
+class CompensateQuery(BaseModel):
+    """How much to answer."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    explain: bool = Field(
+        False,
+        description=f"Add to each of at most {MAX_EXPLAINED_PER_REQUEST} points the share of each error term.",
+    )
+
+
 class ErrorsQuery(BaseModel):
     """Positions as one list per axis, all of one length; without any, the map's own grid."""
 
@@ -100,6 +113,57 @@ class Vector(BaseModel):
     z: float
 
 
+class Share(BaseModel):
+    """A part of a deviation: what comes from measured geometric errors, and what from warmth, as it counts."""
+
+    geometric_um: Vector
+    thermal_um: Vector
+
+
+class TermShare(BaseModel):
+    """One error term's part of a deviation."""
+
+    term: str
+    geometric_um: Vector
+    thermal_um: Vector
+
+
+class Explanation(BaseModel):
+    """Why a deviation is what it is. All shares and `second_order_um` add up to `deviation_um`."""
+
+    terms: list[TermShare] = Field(
+        description="To first order, the largest first; those with neither part above 0.001 µm are among the others."
+    )
+    others: Share
+    second_order_um: Vector = Field(description="What the exact chain adds to the first order.")
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "terms": [
+                        {
+                            "term": "EZ0T",
+                            "geometric_um": {"x": 0.0, "y": 0.0, "z": 0.0},
+                            "thermal_um": {"x": 0.0, "y": 0.0, "z": -40.0},
+                        },
+                        {
+                            "term": "EXX",
+                            "geometric_um": {"x": -6.0, "y": 0.0, "z": 0.0},
+                            "thermal_um": {"x": -8.0, "y": 0.0, "z": 0.0},
+                        },
+                    ],
+                    "others": {
+                        "geometric_um": {"x": 0.0002, "y": 0.0, "z": 0.0},
+                        "thermal_um": {"x": 0.0, "y": 0.0, "z": 0.0},
+                    },
+                    "second_order_um": {"x": -0.0003, "y": 0.0001, "z": 0.0},
+                }
+            ]
+        }
+    )
+
+
 class Point(BaseModel):
     """One position's answer."""
 
@@ -109,6 +173,7 @@ class Point(BaseModel):
         description="Where the tip would be, less where it should be, at the programmed position; not limited."
     )
     limited: bool = Field(description="The rate or the absolute limit holds the correction back.")
+    explanation: Explanation | None = Field(None, description="Only with `?explain=true`.")
 
 
 class CompensateReply(Header):

@@ -79,7 +79,8 @@ def assert_problem(answer: Any, status: int, kind: str, detail: str = "") -> Non
     """Check an error's body; `detail` is how its sentence starts."""
     assert answer.headers["content-type"] == "application/problem+json"
     body = answer.json()
-    assert set(body) == {"type", "title", "status", "detail", "instance"}
+    assert set(body) == {"type", "title", "status", "detail", "instance", "request_id"}
+    assert body["request_id"] == answer.headers["x-request-id"]
     assert (answer.status_code, body["status"]) == (status, status)
     assert body["type"] == f"urn:thermotrue:problem:{kind}"
     assert body["title"]

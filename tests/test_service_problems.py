@@ -220,11 +220,13 @@ def test_the_description_promises_problems_and_no_validation_error(service: Serv
             assert "application/problem+json" in operation["responses"]["default"]["content"], (path, method)
     assert set(described["paths"]) == {
         "/healthz",
+        "/metrics",
         "/readyz",
         "/v1/machines",
         "/v1/machines/{name}",
         "/v1/machines/{name}/telemetry",
         "/v1/machines/{name}/compensate",
         "/v1/machines/{name}/errors",
+        "/v1/machines/{name}/map",
         "/v1/machines/{name}/datum",
     }

@@ -80,6 +80,20 @@ def test_the_greeting_works_when_pasted(served: tuple[subprocess.Popen[str], lis
     assert [json.loads(line)["level"] for line in errors.splitlines()].count("error") == 0
 
 
+def test_the_access_log_names_requests_by_their_ids() -> None:
+    process, lines = start(str(TINY), "--port", "0", "--access-log")
+    address = lines[-1].removeprefix("all calls: ").removesuffix("/docs")
+    ids = []
+    for path in ("/healthz", "/readyz"):
+        with urllib.request.urlopen(f"{address}{path}") as answer:  # noqa: S310 (our own address)
+            ids.append(answer.headers["X-Request-ID"])
+    process.send_signal(signal.SIGTERM)
+    _, errors = process.communicate(timeout=10)
+    told = [line for line in map(json.loads, errors.splitlines()) if "HTTP/1.1" in line["event"]]
+    assert [line["request_id"] for line in told] == ids
+    assert told[0]["event"].endswith('"GET /healthz HTTP/1.1" 200')
+
+
 def test_an_interrupt_ends_it_well() -> None:
     process, _ = start(str(TINY), "--port", "0")
     process.send_signal(signal.SIGINT)

@@ -15,7 +15,7 @@ from service.thermal import Thermal
 from service.timestamps import format_time
 
 log = logging.getLogger(__name__)
-router = APIRouter(tags=["datum"])
+router = APIRouter(prefix="/v1", tags=["datum"])
 
 
 @router.post("/machines/{name}/datum")

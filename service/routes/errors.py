@@ -14,7 +14,7 @@ from service.problems import unprocessable
 from service.routes.dependencies import NamedMachine, check_time, coordinates, header
 from service.schemas import MAX_POSITIONS_PER_REQUEST, ErrorsQuery, ErrorsReply, TermErrors
 
-router = APIRouter(tags=["errors"])
+router = APIRouter(prefix="/v1", tags=["errors"])
 
 
 @router.get("/machines/{name}/errors")

@@ -10,7 +10,7 @@ from service.routes.dependencies import NamedMachine, header, loaded_machines
 from service.schemas import AxisInfo, LimitsInfo, MachineReply, MachinesReply, SensorInfo, TermInfo
 from service.timestamps import format_time
 
-router = APIRouter(tags=["machines"])
+router = APIRouter(prefix="/v1", tags=["machines"])
 
 
 @router.get("/machines")

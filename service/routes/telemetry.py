@@ -7,7 +7,7 @@ from fastapi import APIRouter
 from service.routes.dependencies import NamedMachine, check_samples, header
 from service.schemas import TelemetryReply, TelemetryRequest
 
-router = APIRouter(tags=["telemetry"])
+router = APIRouter(prefix="/v1", tags=["telemetry"])
 
 
 @router.post("/machines/{name}/telemetry")
