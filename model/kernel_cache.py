@@ -13,19 +13,16 @@ import os
 import shutil
 import sys
 import tempfile
-import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
 import numba
 from numba.core import config as numba_config
+from numba.core import event
 
 log = logging.getLogger(__name__)
 config: Any = numba_config
-
-PATIENCE_S = 1.5
-"""Loading takes some tenths of a second; who waits longer is told why."""
 
 
 Decorator = Callable[[Callable[..., Any]], Any]
@@ -84,15 +81,18 @@ def _use_a_writable_copy() -> None:
 
 @contextmanager
 def _telling() -> Iterator[None]:
-    """Say that the path is being compiled, if that takes long: to whoever starts a command or reads a journal."""
-
-    def tell() -> None:
-        print("compiling the per-position path, once for this version and processor", file=sys.stderr)
-
-    timer = threading.Timer(PATIENCE_S, tell)
-    timer.daemon = True
-    timer.start()
-    try:
+    """Say that the path is being compiled, and not loaded: to whoever starts a command or reads a journal."""
+    with event.install_listener("numba:compile", _Teller()):
         yield
-    finally:
-        timer.cancel()
+
+
+class _Teller(event.Listener):
+    told = False
+
+    def on_start(self, event: object) -> None:
+        if not self.told:
+            print("compiling the per-position path, once for this version and processor", file=sys.stderr)
+        self.told = True
+
+    def on_end(self, event: object) -> None:
+        pass
