@@ -12,6 +12,38 @@ FORMAT_VERSION = 1
 """Raised when a bundle's files change their meaning."""
 
 
+class UncertaintyRecord(Strict):
+    """How far the network's predictions may be off, from parts of the training data that were left out in turn.
+
+    The coefficients' covariance is `scale`² (floor + rise (|z|² - |S z|²)) Σ d d', z the modes times `mode_size`, S the
+    `seen_directions`; see `model/uncertainty.py`.
+
+    Attributes
+    ----------
+    directions : d, shape (R, P) [µm, µrad]
+    mode_size : of each mode, shape (M,)
+    seen_directions : S, shape (L, M)
+    floor, rise : how the variance depends on the thermal state
+    misfit_um : root mean square of what the series over the axes' positions leave of the measurements, at the tip
+    scale : makes 1.96 standard deviations a 95 % interval
+    quantile : of |residual| / standard deviation at the tip, 95 %, on what was left out, before `scale`
+    parts, independent : how many parts were left out, and how many independent measurements they had
+    data : what was left out
+    """
+
+    directions: list[list[float]]
+    mode_size: list[float]
+    seen_directions: list[list[float]]
+    floor: Annotated[float, Field(gt=0)]
+    rise: Annotated[float, Field(ge=0)]
+    misfit_um: Annotated[float, Field(ge=0)]
+    scale: Annotated[float, Field(gt=0)]
+    quantile: Annotated[float, Field(gt=0)]
+    parts: Annotated[int, Field(ge=2)]
+    independent: Annotated[float, Field(gt=0)]
+    data: str
+
+
 class NetworkRecord(Strict):
     """What the network's inputs and outputs mean.
 
@@ -27,6 +59,8 @@ class NetworkRecord(Strict):
     valid_range_channels : per channel, the values seen in training
     sensor_mean_degC, sensor_covariance_K2 : for estimating a sensor from the others
     opset, exporter : how the ONNX file was made
+    uncertainty : how far predictions may be off; None where the training data could not be divided to find out, and in
+        bundles made before there was such a record
     """
 
     sensors: list[str]
@@ -43,6 +77,7 @@ class NetworkRecord(Strict):
     sensor_covariance_K2: list[list[float]]
     opset: int
     exporter: str
+    uncertainty: UncertaintyRecord | None = None
 
 
 class Manifest(Strict):

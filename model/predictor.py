@@ -14,6 +14,7 @@ from model.fields import Fields
 from model.sensors import SensorModel
 from model.telemetry import Run
 from model.transforms import Array
+from model.uncertainty import Uncertainty
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,7 @@ class Predictor:
     ----------
     sensors, channels : names of the inputs, in order
     sensor_model : estimates a sensor from the others
+    uncertainty : how far predictions may be off, None where the bundle does not say
 
     Raises
     ------
@@ -60,6 +62,9 @@ class Predictor:
         self.sensor_model = SensorModel(np.array(record.sensor_mean_degC), np.array(record.sensor_covariance_K2))
         self.fields = Fields(bundle.machine, tuple(record.terms), record.degree)
         self._modes = record.modes
+        self.uncertainty = (
+            None if record.uncertainty is None else Uncertainty(self.fields, record.uncertainty, record.modes)
+        )
         options = onnxruntime.SessionOptions()
         # One sample is too small to share out; threads would only wait for each other.
         options.intra_op_num_threads = options.inter_op_num_threads = 1
@@ -99,14 +104,33 @@ class Predictor:
 
         One step after another, as the service takes them.
         """
+        return self.follow_states(run)[0]
+
+    def follow_states(self, run: Run) -> tuple[Array, Array]:
+        """Return the coefficients (T, K) and the thermal modes (T, M) at every sample of a run."""
         temperatures = self.sensor_model.fill(run.temperatures)
         state = self.start(float(run.time_s[0]), temperatures[0], run.channels[0])
-        coefficients = np.empty((len(run.time_s), self.fields.size))
-        coefficients[0] = state.coefficients
+        coefficients, modes = np.empty((len(run.time_s), self.fields.size)), np.empty((len(run.time_s), self._modes))
+        coefficients[0], modes[0] = state.coefficients, state.modes
         for i in range(1, len(run.time_s)):
             state = self.step(state, float(run.time_s[i]), temperatures[i], run.channels[i])
-            coefficients[i] = state.coefficients
-        return coefficients
+            coefficients[i], modes[i] = state.coefficients, state.modes
+        return coefficients, modes
+
+    def spread(self, modes: Array) -> Array:
+        """Return how many times as far off as usual the prediction may be at each sample of a run, shape (T,).
+
+        It is the size that `uncertainty` asks for. `modes` (T, M) are those of the run from its first
+        sample on, since a network of run-start data knows only changes.
+
+        Raises
+        ------
+        BundleError
+            where the bundle does not say how far predictions may be off.
+        """
+        if self.uncertainty is None:
+            raise BundleError("bundle must say how far predictions may be off, got no such record; train it again")
+        return self.uncertainty.size(modes, modes[0] if self.datum == "run-start" else None)
 
     def error_map(self, state: ThermalState) -> ErrorMap:
         """Return the thermal part of the error terms."""

@@ -23,6 +23,12 @@ def _names(_ctx: click.Context, _option: click.Parameter, value: str | None) -> 
     help="Runs to leave out of training and of the bundle, separated by commas. By default a fifth of the runs "
     "(of a single run: the last spindle phase) is left out to measure the network, which is then trained on all.",
 )
+@click.option(
+    "--from",
+    "start",
+    type=PATH,
+    help="Bundle of a like machine, of a series or synthetic, whose network to start from where that helps.",
+)
 @click.option("--seed", default=0, show_default=True, help="Of the split and the network's first weights.")
 @click.option("--picture", type=PATH, help="Draw the test run that drifts most, as measured and predicted.")
 @click.option("--report/--no-report", default=True, help="Write a page about the training beside the bundle: OUT.html.")
@@ -31,6 +37,7 @@ def train(
     dataset: Path,
     out: Path,
     test_runs: list[str] | None,
+    start: Path | None,
     seed: int,
     picture: Path | None,
     report: bool,
@@ -48,7 +55,7 @@ def train(
     page = report_path(out) if report else None
     if page is not None:
         check_report(page)
-    result = train_bundle(dataset, out, test_runs, seed)
+    result = train_bundle(dataset, out, test_runs, seed, start)
     if picture is not None:
         result.draw(picture)
     if page is not None:
@@ -109,10 +116,12 @@ def evaluate(
     if as_json:
         _print_json(result.as_dict() if more is None else more.as_dict())
         return
-    from training.tables import print_scores
+    from training.tables import print_interval, print_scores
 
     print_scores(result.scores, f"{result.machine}, {result.left_out}")
     _print_note(result.note)
+    if result.interval is not None:
+        print_interval(result.interval)
     if result.seen:
         click.echo(f"note: the bundle was trained on {', '.join(result.seen)}, so these figures flatter it", err=True)
     if more is not None:

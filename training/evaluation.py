@@ -117,6 +117,14 @@ def scored_rows(dataset: DataSet, left_out: Mapping[str, Mask], metric: TipMetri
     return Scored(masks, "")
 
 
+def chosen_inputs(predictor: Predictor, dataset: DataSet, run: MeasuredRun) -> Run:
+    """Return a run's telemetry with the network's inputs alone, in its order."""
+    sensors = [_position(dataset.sensors, name, "sensor", dataset) for name in predictor.sensors]
+    channels = [_position(dataset.channels, name, "channel", dataset) for name in predictor.channels]
+    seen = run.telemetry
+    return Run(seen.name, seen.time_s, seen.temperatures[:, sensors], seen.channels[:, channels])
+
+
 def column_basis(fields: Fields, columns: tuple[Column, ...]) -> Array:
     """Return B, shape (J, size): measured columns = B @ coefficients; zero rows for terms the network lacks."""
     basis = np.zeros((len(columns), fields.size))
@@ -143,19 +151,11 @@ def network_method(predictor: Predictor, dataset: DataSet, metric: TipMetric) ->
             f"data set '{dataset.path}' has absolute deviations, the bundle was trained on changes since run-start; "
             'set datum = "run-start" in dataset.toml or train on absolute data'
         )
-    sensors = [_position(dataset.sensors, name, "sensor", dataset) for name in predictor.sensors]
-    channels = [_position(dataset.channels, name, "channel", dataset) for name in predictor.channels]
+    chosen_inputs(predictor, dataset, next(iter(dataset.runs.values())))  # a missing input is better known now
     basis = column_basis(predictor.fields, dataset.columns)
 
     def predict(run: MeasuredRun) -> Array:
-        telemetry = run.telemetry
-        chosen = Run(
-            telemetry.name,
-            telemetry.time_s,
-            telemetry.temperatures[:, sensors],
-            telemetry.channels[:, channels],
-        )
-        coefficients = predictor.follow(chosen)
+        coefficients = predictor.follow(chosen_inputs(predictor, dataset, run))
         if dataset.datum == "run-start":
             coefficients = coefficients - coefficients[0]
         columns = run.between(coefficients) @ basis.T

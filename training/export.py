@@ -13,7 +13,7 @@ import torch
 from model.bundle import Bundle, write_bundle
 from model.exceptions import ComputeError
 from model.fields import Fields
-from model.manifest import NetworkRecord
+from model.manifest import NetworkRecord, UncertaintyRecord
 from model.network import EXPORTER, OPSET, ThermalNetwork, export_onnx
 from model.sensors import SensorModel
 from model.transforms import Array
@@ -35,6 +35,7 @@ def write_network(
     settling_time_s: float,
     training: dict[str, Any],
     test: dict[str, Any],
+    uncertainty: UncertaintyRecord | None = None,
 ) -> Bundle:
     """Export a network, check it against torch, and write its bundle.
 
@@ -65,6 +66,7 @@ def write_network(
         sensor_covariance_K2=sensor_model.covariance.tolist(),
         opset=OPSET,
         exporter=EXPORTER,
+        uncertainty=uncertainty,
     )
     return write_bundle(
         path,

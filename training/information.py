@@ -113,6 +113,13 @@ class Information:
         """Return that of the times of a mask."""
         return Information(self.directions, self.precision[rows], self.vector[rows])
 
+    def less(self, coefficients: Array) -> Information:
+        """Return what is left to be said when these coefficients (N, P) are taken out."""
+        size = self.directions.size
+        unit = np.divide(coefficients, size, out=np.zeros_like(coefficients), where=size > 0.0)
+        taken = np.einsum("nij,nj->ni", self.precision, unit @ self.directions.seen)
+        return Information(self.directions, self.precision, self.vector - taken)
+
 
 def gather(fields: Fields, targets: Array, q: Array, deviation: Array) -> Information | None:
     """Return what measured coefficients and tip deviations say, or None where the coefficients say it all.

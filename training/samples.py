@@ -47,6 +47,12 @@ class Samples:
         parts = (self.features[rows], self.first[rows], self.targets[rows], self.run[rows], self.time_s[rows])
         return Samples(*parts, information)
 
+    def less(self, weights: Array, bias: Array) -> Samples:
+        """Return what is left of the measurements when a linear decoder, (F, P) and (P,), has said its part."""
+        said = self.features @ weights + bias
+        information = None if self.information is None else self.information.less(said)
+        return Samples(self.features, self.first, self.targets - said, self.run, self.time_s, information)
+
 
 def input_scale(dataset: DataSet, train_runs: list[str], sensor_model: SensorModel) -> InputScale:
     """Return what brings the inputs of the training runs to about one.

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from training.evaluation import NO_COMPENSATION, Score
+from training.interval import Interval
 
 
 def print_scores(scores: Mapping[str, Score], title: str) -> None:
@@ -30,3 +31,16 @@ def print_scores(scores: Mapping[str, Score], title: str) -> None:
     for run in runs:
         by_run.add_row(run, *(f"{score.by_run_um[run]:.2f}" for score in scores.values()))
     console.print(by_run)
+
+
+def print_interval(interval: Interval) -> None:
+    """Print how the network's 95 % interval did, and run by run where there are several runs."""
+    console = Console(width=None if Console().is_terminal else 100)
+    table = Table(title="the network's 95 % interval at the tip, in x, y and z", title_justify="left")
+    table.add_column("run")
+    for column in ("deviations within", "allowed, mean [µm]"):
+        table.add_column(column, justify="right")
+    by_run = interval.by_run if len(interval.by_run) > 1 else {}
+    for name, one in {**by_run, "all" if by_run else next(iter(interval.by_run), "all"): interval}.items():
+        table.add_row(name, f"{one.within:.1%}", f"± {one.half_width_um:.1f}")
+    console.print(table)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -11,12 +12,13 @@ from numpy.typing import NDArray
 
 from model.exceptions import ComputeError
 from model.fields import Fields
-from model.network import Prior, Residual, ThermalNetwork
+from model.network import InputScale, Prior, Residual, ThermalNetwork
 from model.progress import Reporter
 from model.sensors import SensorModel
 from model.transforms import Array
 from training.dataset import DataSet
 from training.decoder import solve_decoder
+from training.earlier import PULLS, Earlier
 from training.effects import judged_form
 from training.residual import fit_residual
 from training.samples import Samples, collect, input_scale
@@ -78,14 +80,20 @@ class Training:
 
     Attributes
     ----------
+    solve : fits the linear decoder to other samples as to these, weights (F, P) and bias (P,)
     curves : of each fit of the residual, its loss step by step (see `residual.fit_residual`): the folds' first, then
         that of the residual in the network, where it was kept
+    pull : how strongly the weights were pulled towards those of an earlier network, None where there was none or
+        where it did not help
     """
 
     net: ThermalNetwork
     fields: Fields
     verdict: Verdict
+    scale: InputScale
+    solve: Callable[[Samples], tuple[Array, Array]]
     curves: list[list[float]] = field(default_factory=list)
+    pull: float | None = None
 
 
 def train_network(
@@ -95,11 +103,12 @@ def train_network(
     sensor_model: SensorModel,
     settings: Settings,
     verdict: Verdict | None = None,
+    earlier: Earlier | None = None,
 ) -> Training:
     """Return a network trained on the training part of a split; one seed gives one network.
 
     `verdict` is that of an earlier training on part of the same data; without it, folds of the data decide whether
-    the residual is kept.
+    the residual is kept. `earlier` is a network to start from, where that helps on folds.
 
     Raises
     ------
@@ -109,12 +118,14 @@ def train_network(
         where the decoder is not finite.
     """
     fields = Fields(dataset.machine, dataset.terms, settings.degree)
-    scale = input_scale(dataset, split.train_runs, sensor_model)
-    net = ThermalNetwork(scale, settings.prior, fields.size)
+    scale = input_scale(dataset, split.train_runs, sensor_model) if earlier is None else earlier.scale
+    net = ThermalNetwork(scale, settings.prior if earlier is None else earlier.prior, fields.size)
     samples = collect(net, dataset, split.train, metric.coverage, fields, sensor_model)
     decoder = _Decoder(settings, judged_form(dataset, metric, fields), bias=dataset.datum == "absolute")
     shown = bool(np.isfinite(samples.targets).all(axis=1).any())  # the residual learns from times that show all terms
     folds = _folds(samples, settings.folds) if verdict is None and shown else []
+    if earlier is not None:
+        decoder.start_from(earlier, samples, _folds(samples, settings.folds))
     with Reporter("training", settings.steps * (len(folds) + 1)) as reporter:
         if verdict is None:
             verdict = decoder.verdict(samples, folds, reporter)
@@ -125,7 +136,7 @@ def train_network(
         net.linear.copy_(torch.tensor(linear))
         net.bias.copy_(torch.tensor(bias))
     net.residual = residual
-    return Training(net, fields, verdict, [c for c in decoder.curves if c])
+    return Training(net, fields, verdict, scale, decoder.linear, [c for c in decoder.curves if c], decoder.pull)
 
 
 class _Decoder:
@@ -134,11 +145,44 @@ class _Decoder:
     def __init__(self, settings: Settings, form: Array, *, bias: bool) -> None:
         self._settings, self._form, self._bias = settings, form, bias
         self.curves: list[list[float]] = []
+        self._earlier: Earlier | None = None
+        self.pull: float | None = None
+
+    def start_from(self, earlier: Earlier, samples: Samples, folds: list[NDArray[np.bool_]]) -> None:
+        """Choose how strongly the weights are pulled towards earlier ones, or not at all, by what folds leave.
+
+        Without folds, as of a single stretch, the weakest pull is taken: the data has the last word.
+        """
+        self._earlier = earlier
+        left: dict[float | None, float] = {None: 0.0, **dict.fromkeys(PULLS, 0.0)}
+        for self.pull in left:
+            for inside in folds:
+                linear, bias = self.linear(samples.where(inside))
+                out = samples.where(~inside)
+                left[self.pull] += self._left(out, linear, bias)
+        self.pull = min(left, key=lambda pull: left[pull]) if folds else PULLS[0]
+
+    def _left(self, samples: Samples, linear: Array, bias: Array) -> float:
+        """Return what the linear decoder leaves at the tip, in squares; where only the tip was measured, of that."""
+        rest = samples.less(linear, bias)
+        if rest.information is None:
+            return self._square(rest.targets)
+        return float((rest.information.vector**2).sum())
+
+    def linear(self, samples: Samples) -> tuple[Array, Array]:
+        """Return the linear decoder's weights and bias."""
+        s = self._settings
+        if self._earlier is None or self.pull is None:
+            return solve_decoder(samples, ridge=s.ridge, correlation_s=s.correlation_s, bias=self._bias)
+        linear, bias = self._earlier.weights, self._earlier.bias * self._bias
+        rest = samples.less(linear, bias)
+        more, shift = solve_decoder(rest, ridge=s.ridge * self.pull, correlation_s=s.correlation_s, bias=self._bias)
+        return linear + more, bias + shift
 
     def fit(self, samples: Samples, reporter: Reporter, *, residual: bool) -> tuple[Array, Array, Residual | None]:
         """Return the linear decoder's weights and bias, and the residual, if it is wanted."""
         s = self._settings
-        linear, bias = solve_decoder(samples, ridge=s.ridge, correlation_s=s.correlation_s, bias=self._bias)
+        linear, bias = self.linear(samples)
         if not residual:
             return linear, bias, None
         self.curves.append([])
