@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
+from warming import warming
 
 from data_synth import cycles
 from data_synth.building_blocks import Rod, screw_links
 from data_synth.hmc4_structure import SCREW_X
 from data_synth.machines import open_shop
 from data_synth.materials import CAST_IRON, STEEL
-from data_synth.network import OperatingPoint
 from data_synth.run import run_kind, run_name, simulate
 from data_synth.summary import RunSummary
 from data_synth.tip import tip_deviation
@@ -131,25 +131,8 @@ def test_a_pallet_that_is_warm_on_one_side_errs_once_per_turn():
     assert np.abs(moved).max() > 1.0
 
 
-def warming(rpm, hours):
-    """Return the nodes' rises over time at one speed in a hall of 20 °C, a row a minute, and what they end at."""
-    design = SHOP.design
-    n = round(60 * hours)
-    point = OperatingPoint(speed=rpm / design.capability.top_rpm)
-    around = np.full((n, len(design.network.boundaries)), 20.0)
-    power = np.zeros(len(NODES))
-    for source in design.sources:
-        if hasattr(source, "load_sensitivity"):
-            for name, share in source.onto.items():
-                power[NODES.index(name)] += share * source.law.power(np.array([rpm]))[0]
-    path = design.network.run(
-        np.full(len(NODES), 20.0), [point], np.zeros(n, dtype=np.intp), np.tile(power, (n, 1)), around, 60.0
-    )
-    return path - 20.0, design.network.steady(point, power, around[0]) - 20.0
-
-
 def test_the_spindle_settles_in_an_hour_or_two_and_column_and_bed_over_a_shift():
-    rise, end = warming(8000.0, 8.0)
+    rise, end = warming(SHOP, 8000.0, 8.0)
     front, column, bed = (NODES.index(n) for n in ("spindle_front", "column_upper_front_left", "bed_stem_rear_left"))
     assert 5.0 < end[front] < 40.0
     assert rise[10, front] < 0.7 * end[front]

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
+from warming import warming
 
 from data_synth import cycles
 from data_synth.building_blocks import rotary_links, rotary_sources
 from data_synth.heat import PowerLaw
 from data_synth.machines import open_shop
 from data_synth.materials import CAST_IRON, STEEL
-from data_synth.network import OperatingPoint
 from data_synth.run import run_kind, run_name, simulate
 from data_synth.summary import RunSummary
 from data_synth.tip import tip_deviation
@@ -158,25 +158,8 @@ def test_a_warm_ram_grows_from_its_nut_to_its_nose_whatever_z_is():
     np.testing.assert_allclose(whole, -10.0 * IRON * (700.0 - 150.0 - 120.0), atol=10.0 * IRON)
 
 
-def warming(rpm, hours):
-    """Return the nodes' rises over time at one speed in a hall of 20 °C, a row a minute, and what they end at."""
-    design = SHOP.design
-    n = round(60 * hours)
-    point = OperatingPoint(speed=rpm / design.capability.top_rpm)
-    around = np.full((n, len(design.network.boundaries)), 20.0)
-    power = np.zeros(len(NODES))
-    for source in design.sources:
-        if hasattr(source, "load_sensitivity"):
-            for name, share in source.onto.items():
-                power[NODES.index(name)] += share * source.law.power(np.array([rpm]))[0]
-    path = design.network.run(
-        np.full(len(NODES), 20.0), [point], np.zeros(n, dtype=np.intp), np.tile(power, (n, 1)), around, 60.0
-    )
-    return path - 20.0, design.network.steady(point, power, around[0]) - 20.0
-
-
 def test_the_spindle_settles_in_an_hour_or_two_and_portal_and_bed_over_a_shift():
-    rise, end = warming(12000.0, 8.0)
+    rise, end = warming(SHOP, 12000.0, 8.0)
     front, portal, bed = (NODES.index(n) for n in ("spindle_front", "portal_left_rear", "bed_rear_left"))
     assert 5.0 < end[front] < 40.0
     assert rise[120, front] > 0.9 * end[front]
