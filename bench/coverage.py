@@ -36,7 +36,7 @@ def trained(dataset: DataSet, split: Split, metric: TipMetric) -> tuple[Method, 
     sensors = SensorModel.fit(np.concatenate([dataset.runs[n].telemetry.temperatures for n in split.train_runs]))
     found = train_network(dataset, split, metric, sensors, s)
     parts = (found.net, found.fields, sensors, found.solve)
-    record = estimate(dataset, split, metric, *parts, ridge=found.verdict.ridge, correlation_s=s.correlation_s)
+    record = estimate(dataset, split, metric, *parts, ridge=s.ridge, correlation_s=s.correlation_s)
     if record is None:
         raise SystemExit(f"{dataset.path} is too little to be divided")
     uncertainty = Uncertainty(found.fields, record, found.net.modes)
