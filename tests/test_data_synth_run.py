@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from data_synth import cycles
-from data_synth.card import RunSummary
 from data_synth.climates import CONDITIONED
 from data_synth.climates import SHOP as CLIMATE
 from data_synth.clock import MONDAY_MORNING
@@ -14,6 +13,7 @@ from data_synth.heat import BearingFriction, StrokeSource
 from data_synth.machines import open_shop
 from data_synth.run import channels, run_kind, run_name, simulate
 from data_synth.sensors import Thermometer
+from data_synth.summary import RunSummary
 from data_synth.tip import tip_deviation
 from data_synth.vmc3_structure import SCREWS
 from model.chain import Chain
