@@ -5,8 +5,8 @@
 Leaves out each duty cycle of a data set of several runs in turn (the part of the run's name behind the first `_`),
 or each spindle phase of a single run, trains on the rest, and prints the pooled share of the tip's drift that is
 left: root mean square over the working volume, divided by that without compensation. The baselines choose their
-settings by leaving out parts of the training part; the network is also tried without its nonlinear residual, which
-folds of the training part keep or drop. Takes most of a minute for each that is left out.
+settings by leaving out parts of the training part, and so does the network; it is also tried without its nonlinear
+residual, which folds of the training part keep or drop. Takes most of a minute for each that is left out.
 """
 
 import argparse
@@ -21,9 +21,10 @@ from model.network import ThermalNetwork
 from model.sensors import SensorModel
 from model.transforms import Array
 from training.baselines.everyone import BASELINES
-from training.comparison import fit_baselines
+from training.choice import choose
 from training.dataset import DataSet, MeasuredRun, load_dataset
 from training.evaluation import NETWORK, NO_COMPENSATION, Method, compare, scored_rows
+from training.fitted import fit_baselines
 from training.split import Split, split_by_run
 from training.tip import TipMetric, tip_metric
 from training.tip_methods import measured_as
@@ -69,9 +70,9 @@ def network(training: Training, dataset: DataSet, sensors: SensorModel, metric: 
 
 def methods(dataset: DataSet, split: Split, metric: TipMetric) -> tuple[dict[str, Method], bool]:
     """Return baselines and networks trained on one split, and whether the network kept its residual."""
-    settings = Settings()
-    found = {n: b.predict for n, b in fit_baselines(dataset, split, metric, settings.degree).items()}
+    found = {n: b.predict for n, b in fit_baselines(dataset, split, metric, Settings().degree).items()}
     sensors = SensorModel.fit(np.concatenate([dataset.runs[n].telemetry.temperatures for n in split.train_runs]))
+    settings = choose(dataset, split, metric, sensors, Settings()).settings
     whole = train_network(dataset, split, metric, sensors, settings)
     linear = train_network(dataset, split, metric, sensors, settings, Verdict(False, 0.0, 0.0))
     found[LINEAR] = network(linear, dataset, sensors, metric)

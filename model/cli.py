@@ -69,8 +69,8 @@ def main() -> None:
         if isinstance(problem, click.UsageError) and problem.ctx is not None:
             hint = f"; see `{problem.ctx.command_path} --help`"
         _fail(problem.format_message().rstrip(".") + hint, 2)
-    except (click.Abort, KeyboardInterrupt):
-        _fail("interrupted", 130)
+    except (click.Abort, KeyboardInterrupt) as stop:
+        _fail(str(stop) or "interrupted", 130)
     except InputError as problem:
         _fail(str(problem), 2)
     except ModuleNotFoundError as problem:

@@ -61,7 +61,8 @@ def predict(bundle: Path, telemetry: Path, positions: Path, out: Path, uncertain
                 f"times in run '{name}' of '{positions}' must not lie after its telemetry, which ends at "
                 f"{run.time_s[-1]:g} s, got {time_s[late[0]]:g} in row {late[0] + 1}"
             )
-        followed, modes = predictor.follow_states(run)
+        states = predictor.states(run)
+        followed = np.array([state.coefficients for state in states])
         if predictor.datum == "run-start":
             followed = followed - followed[0]
         at = np.stack([np.interp(time_s[rows], run.time_s, c) for c in followed.T], axis=1)
@@ -69,7 +70,7 @@ def predict(bundle: Path, telemetry: Path, positions: Path, out: Path, uncertain
         if predictor.datum == "absolute":
             e = e + loaded.geometry.evaluate(q[rows])
         if uncertainty and predictor.uncertainty is not None:
-            size = np.interp(time_s[rows], run.time_s, predictor.spread(modes))
+            size = np.interp(time_s[rows], run.time_s, predictor.spread(states))
             std[rows] = predictor.uncertainty.tip(q[rows], size)
         found[rows] = chain.deviation(q[rows], e).position_mm / UM
     axes = {a: q[:, i] for i, a in enumerate(loaded.machine.axis_names)}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,13 +43,22 @@ class Compensation:
     residual_mm : shape (n,), distance of the exact chain's tip from the ideal one after compensation
     tilt_rad : shape (n,), angle of the tool axis from the ideal one after compensation: what the machine has no
         rotary axis to remove, or too little of one near a singular pose
-    outside : shape (n,), whether a corrected coordinate leaves its axis' range
+    deviation_mm : shape (n, 3), where the exact chain puts the tip at the programmed coordinates, less where the ideal
+        one does
+    low, high : shape (A,), the ends of the axes' ranges
     """
 
     corrected: Array
     residual_mm: Array
     tilt_rad: Array
-    outside: NDArray[np.bool_]
+    deviation_mm: Array
+    low: Array
+    high: Array
+
+    @property
+    def outside(self) -> NDArray[np.bool_]:
+        """Whether a corrected coordinate leaves its axis' range, shape (n,)."""
+        return np.asarray(np.logical_or.reduce((self.corrected < self.low) | (self.corrected > self.high), axis=1))
 
 
 class Compensator:
@@ -81,6 +91,18 @@ class Compensator:
         axes = [chain.machine.axes[a] for a in names]
         self._low, self._high = np.array([a.low for a in axes]), np.array([a.high for a in axes])
 
+    def carrying(self, errors: ErrorMap) -> Compensator:
+        """Return one of the same chain, tool and kept axes with other errors, in less time than a new one takes.
+
+        Raises
+        ------
+        DataError
+            where an error term is not a number of a machine's size.
+        """
+        other = copy(self)
+        other._plan = self._plan.carrying(self._chain, errors)
+        return other
+
     def compensate(self, q: Array, threads: int | None = None) -> Compensation:
         """Find axis coordinates for which the erroneous chain puts the tool where the ideal chain puts it at q.
 
@@ -98,26 +120,28 @@ class Compensator:
             where there is not one column an axis, or a coordinate is not finite.
         """
         q = np.ascontiguousarray(q, dtype=np.float64)
+        if not q.flags.behaved:  # such as what was received, which cannot be written to
+            q = q.copy()
         names = self._chain.machine.axis_names
         if q.ndim != 2 or q.shape[1] != len(names):
             raise DataError(
                 f"coordinates must have shape (n, {len(names)}), one column for each of {', '.join(names)}, "
                 f"got {q.shape}"
             )
-        corrected, residual, tilt = np.empty_like(q), np.empty(len(q)), np.empty(len(q))
-        outside = np.empty(len(q), dtype=np.bool_)
+        n, axes = q.shape
+        results = np.empty(n * (axes + 5))
+        ends = n * axes, n * (axes + 1), n * (axes + 2)
+        residual = results[ends[0] : ends[1]]
 
         def work(start: int) -> None:
-            part = slice(start, min(start + SHARE, len(q)))
-            finite = np.isfinite(q[part])
-            if not finite.all():
-                row = start + int(np.argmin(finite.all(axis=1)))
+            stop = min(start + SHARE, n)
+            if not np.logical_and.reduce(np.isfinite(q[start:stop]), axis=None):
+                row = start + int(np.argmin(np.isfinite(q[start:stop]).all(axis=1)))
                 raise DataError(f"coordinates must be finite numbers, got others in row {row + 1}")
-            self._plan.solve(q, part.start, part.stop, corrected, residual, tilt)
-            outside[part] = ((corrected[part] < self._low) | (corrected[part] > self._high)).any(axis=1)
+            self._plan.solve(q, start, stop, results)
 
-        starts = range(0, len(q), SHARE)
-        workers = min(threads or os.cpu_count() or 1, len(starts))
+        starts = range(0, n, SHARE)
+        workers = min(threads or os.cpu_count() or 1, len(starts)) if len(starts) > 1 else 1
         if workers > 1:
             with ThreadPoolExecutor(workers) as pool:
                 list(pool.map(work, starts))
@@ -125,10 +149,13 @@ class Compensator:
             for start in starts:
                 work(start)
         self._check(q, residual)
-        return Compensation(corrected, residual, tilt, outside)
+        corrected, deviation = results[: ends[0]].reshape(n, axes), results[ends[2] :].reshape(n, 3)
+        return Compensation(corrected, residual, results[ends[1] : ends[2]], deviation, self._low, self._high)
 
     def _check(self, q: Array, residual: Array) -> None:
         """Raise where the linear axes reach every direction, and yet the tip is not in its place."""
+        if not len(q) or np.maximum.reduce(residual) <= RESIDUAL_MM:  # nearly always; never with NaN
+            return
         failed = np.flatnonzero(~(residual <= RUNAWAY_MM))
         late = np.flatnonzero(~(residual <= RESIDUAL_MM))
         linear = self._plan.linear_axes

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from io import TextIOWrapper
+from io import BytesIO, TextIOWrapper
 from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace
@@ -69,16 +69,18 @@ class CsvReader:
 
     Parameters
     ----------
+    path : names the file in messages
     chunk_rows : rows of a chunk; the last one is shorter
+    content : the file's bytes, where they are at hand; None reads them from `path`
     """
 
     unit = "rows (total estimated)"
 
-    def __init__(self, path: Path, chunk_rows: int) -> None:
+    def __init__(self, path: Path, chunk_rows: int, content: bytes | None = None) -> None:
         self.source, self._chunk_rows = str(path), chunk_rows
-        self._bytes = path.open("rb")
+        self._bytes: BinaryIO = path.open("rb") if content is None else BytesIO(content)
         self._file = TextIOWrapper(self._bytes, encoding="utf-8-sig", newline="")
-        self._size, self._rows_read = path.stat().st_size, 0
+        self._size, self._rows_read = path.stat().st_size if content is None else len(content), 0
         self._taken: list[str] = []
         self._reader = csv.reader(self._recorded(), strict=True)
         try:
@@ -134,12 +136,12 @@ class CsvReader:
 
     def _undecodable(self) -> str:
         """Return which byte is not UTF-8 and where; text is decoded ahead, so that the reader's line is not its."""
-        with Path(self.source).open("rb") as file:
-            for number, line in enumerate(file, start=1):
-                try:
-                    line.decode()
-                except UnicodeDecodeError as problem:
-                    return f"byte 0x{line[problem.start]:02x} in line {number}"
+        self._bytes.seek(0)
+        for number, line in enumerate(self._bytes, start=1):
+            try:
+                line.decode()
+            except UnicodeDecodeError as problem:
+                return f"byte 0x{line[problem.start]:02x} in line {number}"
         return "something else"
 
     def _records(self, rows: int) -> list[str]:

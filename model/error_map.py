@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,10 +125,10 @@ class ErrorMap:
         motion: dict[str, Array] = {}
         for axis in self.machine.axis_names:
             a, b = self.knots[axis], other.knots[axis]
-            if np.array_equal(a, b):
+            if a is b or np.array_equal(a, b):
                 knots[axis], motion[axis] = a, self.motion[axis] + other.motion[axis]
             else:
-                knots[axis] = np.union1d(a, b)
+                knots[axis] = _union(_Same(a), _Same(b))
                 motion[axis] = self._resampled(axis, knots[axis]) + other._resampled(axis, knots[axis])
         return ErrorMap(self.machine, knots, motion, self.location + other.location)
 
@@ -169,6 +170,25 @@ class ErrorMap:
         width = np.diff(knots)[left] if len(knots) > 1 else np.ones_like(position)
         weight = np.clip((position - knots[left]) / width, 0.0, 1.0)
         return left, weight, width
+
+
+class _Same:
+    """Makes an array a key: equal where it is the same array, which stays alive as long as the key does."""
+
+    def __init__(self, array: Array) -> None:
+        self.array = array
+
+    def __hash__(self) -> int:
+        return id(self.array)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and other.array is self.array
+
+
+@lru_cache(maxsize=512)
+def _union(a: _Same, b: _Same) -> Array:
+    """Return the union of two axes' knots: the same array for the same two, so that what is worked out for it holds."""
+    return np.union1d(a.array, b.array)
 
 
 def _sample(table: Mapping[float, float], knots: Array) -> Array:

@@ -13,15 +13,17 @@ from model.tables import read_table
 COLUMNS = ("term", "position", "value")
 
 
-def read_error_table(path: str | Path) -> list[Row]:
+def read_error_table(path: str | Path, content: bytes | None = None) -> list[Row]:
     """Read an error table from CSV or Parquet.
+
+    Where `content`, the bytes of a CSV file, is given, `path` only names it.
 
     Raises
     ------
     DataError
         where the file cannot be read, lacks a column or a value is not a number.
     """
-    table = read_table(path, required=COLUMNS, text=("term",))
+    table = read_table(path, required=COLUMNS, text=("term",), content=content)
     terms = table.text["term"]
     positions, values = table.numbers["position"], table.numbers["value"]
     return [

@@ -8,8 +8,10 @@ location term is one coefficient.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from model.error_map import ErrorMap
 from model.machine import Axis, Machine
@@ -23,6 +25,15 @@ GRID_DEG = 2.0
 """Knots of a series of harmonics are at most so far apart: for an amplitude of 100 µm twice a turn the gap is
 (2 GRID_DEG)²/8 of it, 0.06 µm."""
 HALF_TURN_DEG = 180.0
+
+_Ints = NDArray[np.int64]
+_Grid = tuple[
+    dict[str, Array],
+    dict[str, tuple[list[int], _Ints, Array, Array]],
+    tuple[list[int], _Ints, Array],
+]
+"""Knots by axis; by axis the directions that have terms, their coefficients' columns (t, width), what makes them mm or
+rad (t, 1) and the series (width, m); the same of the location terms without a series."""
 
 
 @dataclass(frozen=True)
@@ -100,24 +111,62 @@ class Fields:
             e[:, self.machine.term_index[name]] = series * term.to_internal
         return e
 
+    def evaluate_each(self, coefficients: Array, q: Array) -> Array:
+        """Return the error terms of each of r sets of coefficients at each position, shape (r, n, K) [mm, rad].
+
+        Parameters
+        ----------
+        coefficients : shape (r, size) [µm, µrad]
+        q : shape (n, A) [mm, degree]
+        """
+        e = np.zeros((len(coefficients), len(q), len(self.machine.terms)))
+        for name, where in self.slices().items():
+            term = self.machine.term(name)
+            column = 0 if term.kind == "location" else self.machine.axis_names.index(term.axis)
+            series = coefficients[:, where] @ self.basis(name, q[:, column]).T
+            e[:, :, self.machine.term_index[name]] = series * term.to_internal
+        return e
+
     def tabulate(self, coefficients: Array) -> ErrorMap:
         """Return the error map of coefficients of shape (size,) [µm, µrad], on a uniform grid of each axis."""
-        slices = self.slices()
-        knots: dict[str, Array] = {}
+        knots, series, location = self._grid
         motion: dict[str, Array] = {}
+        for axis, (rows, columns, factors, basis) in series.items():
+            motion[axis] = np.zeros((len(DIRECTIONS), len(knots[axis])))
+            motion[axis][rows] = (coefficients[columns] * factors) @ basis
+        rows, columns, factors = location
+        placed = np.zeros(len(self.machine.location_columns))
+        placed[rows] = coefficients[columns] * factors
+        return ErrorMap(self.machine, knots, motion, placed)
+
+    @cached_property
+    def _grid(self) -> _Grid:
+        """The knots of each axis and the series there, worked out once: a map is wanted for every sample."""
+        knots: dict[str, Array] = {}
+        motion: dict[str, dict[int, tuple[slice, float]]] = {name: {} for name in self.machine.axes}
+        location: list[tuple[int, int, float]] = []
         for name, axis in self.machine.axes.items():
             points = int(np.ceil((axis.high - axis.low) / GRID_DEG)) + 1 if turns(axis) else 0
             knots[name] = np.linspace(axis.low, axis.high, max(points, GRID_POINTS))
-            motion[name] = np.zeros((6, len(knots[name])))
-        location = np.zeros(len(self.machine.terms))
-        for name, where in slices.items():
+        for name, where in self.slices().items():
             term = self.machine.term(name)
             if term.kind == "location":
-                location[self.machine.term_index[name]] = coefficients[where][0] * term.to_internal
+                row = self.machine.location_columns.index(self.machine.term_index[name])
+                location.append((row, where.start, term.to_internal))
             else:
-                values = self.basis(name, knots[term.axis]) @ coefficients[where]
-                motion[term.axis][DIRECTIONS.index(term.direction)] = values * term.to_internal
-        return ErrorMap(self.machine, knots, motion, location[self.machine.location_columns])
+                motion[term.axis][DIRECTIONS.index(term.direction)] = (where, term.to_internal)
+        series = {}
+        for name, terms in motion.items():
+            if terms:
+                first = f"E{DIRECTIONS[next(iter(terms))]}{name}"
+                columns = np.array([range(where.start, where.stop) for where, _ in terms.values()])
+                factors = np.array([[factor] for _, factor in terms.values()])
+                series[name] = (list(terms), columns, factors, self.basis(first, knots[name]).T)
+            else:
+                series[name] = ([], np.zeros((0, 1), dtype=int), np.zeros((0, 1)), np.zeros((1, len(knots[name]))))
+        rows, columns_of, factors_of = zip(*location, strict=True) if location else ((), (), ())
+        at = np.array(columns_of, dtype=int)
+        return knots, series, (list(rows), at, np.array(factors_of, dtype=float))
 
 
 def turns(axis: Axis) -> bool:

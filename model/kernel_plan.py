@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,7 @@ class Plan:
     tool : tip and axis in the tool frame, shape (6,)
     linear_axes, rotary_axes : columns of the axes that may move
     moving : whether a rotary axis carries a linear one
+    knots : of the error map, per axis
     """
 
     ideal_ops: Ints
@@ -54,14 +56,47 @@ class Plan:
     linear_axes: Ints
     rotary_axes: Ints
     moving: bool
+    knots: tuple[Array, ...]
 
-    def solve(self, q: Array, start: int, stop: int, corrected: Array, residual: Array, tilt: Array) -> None:
+    def solve(self, q: Array, start: int, stop: int, results: Array) -> None:
         """Run `kernel.solve` over q[start:stop]."""
-        kernel.solve(
-            q, start, stop, self.ideal_ops, self.ideal_constants, self.real_ops, self.real_constants, self.cells,
-            self.segments, self.lookup, self.grid, self.tool, self.linear_axes, self.rotary_axes, self.moving,
-            corrected, residual, tilt,
+        linear, rotary = len(self.linear_axes), len(self.rotary_axes)
+        kernel.solve(q, start, stop, self._arguments, linear, rotary, results)
+
+    @cached_property
+    def _arguments(self) -> tuple[int, ...]:
+        """Addresses and lengths, in the order of `kernel_source.entry`; the arrays stay as long as this does."""
+        f8, i8, at = np.float64, np.int64, kernel.address
+        ideal, real = len(self.ideal_ops), len(self.real_ops)
+        cells, segments, axes = len(self.cells), len(self.segments), len(self.lookup)
+        linear, rotary = len(self.linear_axes), len(self.rotary_axes)
+        return (
+            at(self.ideal_ops, i8, ideal, 4), at(self.ideal_constants, f8, ideal, 12), ideal,
+            at(self.real_ops, i8, real, 4), at(self.real_constants, f8, real, 12), real,
+            at(self.cells, np.int32, cells), cells, at(self.segments, f8, segments), segments,
+            at(self.lookup, i8, axes, 3), at(self.grid, f8, axes, 3), at(self.tool, f8, 6),
+            at(self.linear_axes, i8, linear), linear, at(self.rotary_axes, i8, rotary), rotary, int(self.moving),
         )  # fmt: skip
+
+    def carrying(self, chain: Chain, errors: ErrorMap) -> Plan:
+        """Return the plan of the same chain, tool and free axes with other errors; they are checked as by `plan`."""
+        _check(errors)
+        real_ops, real_constants = _packed(_real(chain, errors))
+        knots = tuple(errors.knots[axis] for axis in chain.machine.axis_names)
+        if all(a is b for a, b in zip(knots, self.knots, strict=True)):
+            segments = np.concatenate([_segments(errors.knots[a], errors.motion[a]) for a in chain.machine.axis_names])
+            return replace(self, real_ops=real_ops, real_constants=real_constants, segments=segments)
+        cells, segments, lookup, grid = _tables(errors)
+        return replace(
+            self,
+            real_ops=real_ops,
+            real_constants=real_constants,
+            cells=cells,
+            segments=segments,
+            lookup=lookup,
+            grid=grid,
+            knots=knots,
+        )
 
 
 def plan(chain: Chain, errors: ErrorMap, tool_mm: Array | None, keep: Sequence[str] = ()) -> Plan:
@@ -101,6 +136,7 @@ def plan(chain: Chain, errors: ErrorMap, tool_mm: Array | None, keep: Sequence[s
         np.array([free[a] for a in linear], dtype=np.int64),
         np.array([free[a] for a in rotary], dtype=np.int64),
         moving,
+        tuple(errors.knots[axis] for axis in names),
     )
 
 
@@ -264,20 +300,26 @@ def _tables(errors: ErrorMap) -> tuple[NDArray[np.int32], Array, Ints, Array]:
     cells, segments, lookup, grid = [], [], [], []
     first_cell = first_row = 0
     for axis in errors.machine.axis_names:
-        knots, values = errors.knots[axis], errors.motion[axis]
-        rows = np.zeros((len(knots) + 2, kernel.ROW))
-        rows[0, 0], rows[1:-1, 0], rows[-1, 0] = knots[0], knots, np.inf
-        rows[0, 1:7], rows[1:-1, 1:7] = values[:, 0], values.T
-        if len(knots) > 1:
-            rows[1:-2, 7:13] = (np.diff(values, axis=1) / np.diff(knots)).T
+        knots = errors.knots[axis]
+        rows = _segments(knots, errors.motion[axis])
         width, begins, segment, steps = _cells(knots)
         cells.append(segment)
-        segments.append(rows.ravel())
+        segments.append(rows)
         lookup.append((first_cell, first_row, steps))
         grid.append((begins, 1.0 / width, len(segment) - 1.0))
         first_cell += len(segment)
-        first_row += rows.size
+        first_row += len(rows)
     return np.concatenate(cells), np.concatenate(segments), np.array(lookup, dtype=np.int64), np.array(grid)
+
+
+def _segments(knots: Array, values: Array) -> Array:
+    """Return the segments of an axis, one after the other."""
+    rows = np.zeros((len(knots) + 2, kernel.ROW))
+    rows[0, 0], rows[1:-1, 0], rows[-1, 0] = knots[0], knots, np.inf
+    rows[0, 1:7], rows[1:-1, 1:7] = values[:, 0], values.T
+    if len(knots) > 1:
+        rows[1:-2, 7:13] = ((values[:, 1:] - values[:, :-1]) / (knots[1:] - knots[:-1])).T
+    return rows.ravel()
 
 
 def _cells(knots: Array) -> tuple[float, float, NDArray[np.int32], int]:

@@ -10,6 +10,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from model.exceptions import MachineError
@@ -178,6 +180,18 @@ class Machine:
         return tuple(a for a in AXES if a in self.axes)
 
     @cached_property
+    def axis_ends(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The axes' lower and upper ends, each of shape (A,) [mm, degree]."""
+        axes = [self.axes[name] for name in self.axis_names]
+        return np.array([axis.low for axis in axes]), np.array([axis.high for axis in axes])
+
+    @cached_property
+    def kind(self) -> str:
+        """All but the name: equal for machines that are alike, which can share what follows from it."""
+        alike = (self.composition, self.reference_temperature_degC, self.layout, self.axes, self.tool, self.workpiece)
+        return repr((*alike, self.sensors, self.limits))  # of floats it is exact
+
+    @cached_property
     def terms(self) -> tuple[Term, ...]:
         """All error terms, body by body, motion before location."""
         terms: list[Term] = []
@@ -263,6 +277,8 @@ def parse_machine(text: str, where: str = "machine description") -> Machine:
         data: dict[str, Any] = tomllib.loads(text)
     except tomllib.TOMLDecodeError as problem:
         raise MachineError(f"{where} is not TOML: {problem}") from None
+    except RecursionError:
+        raise MachineError(f"{where} is not TOML that can be read: it is nested too deeply") from None
     file = check(_MachineFile, data, where, MachineError)
     layout = _layout(file, where)
     moving = {body.axis: body for body in layout.bodies if body.axis is not None}

@@ -27,7 +27,7 @@ EXPORTER = "torch.onnx dynamo"
 class Prior:
     """How large each effect is expected to be before any data is seen.
 
-    The defaults were chosen by leaving out duty cycles of machines (docs/network.md).
+    The defaults are for data of few runs; with more, `training/choice.py` chooses (docs/network.md).
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Prior:
     powers: tuple[float, ...] = (0.5, 1.0, 1.5, 2.0)
     source: float = 8.0
     instant: float = 0.3
-    tau_exponent: float = -0.2
+    tau_exponent: float = -0.1
     common: float = 0.9
 
 

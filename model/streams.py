@@ -61,8 +61,14 @@ Compute = Callable[[Chunk], Mapping[str, Array]]
 
 
 @contextmanager
-def open_table(path: str | Path, required: Sequence[str] = (), chunk_rows: int = CHUNK_ROWS) -> Iterator[Reader]:
+def open_table(
+    path: str | Path, required: Sequence[str] = (), chunk_rows: int = CHUNK_ROWS, content: bytes | None = None
+) -> Iterator[Reader]:
     """Open a table for reading by chunks.
+
+    Parameters
+    ----------
+    content : bytes of a CSV file that `path` then only names
 
     Raises
     ------
@@ -71,10 +77,12 @@ def open_table(path: str | Path, required: Sequence[str] = (), chunk_rows: int =
     """
     path = Path(path)
     _check_suffix(path)
-    if not path.is_file():
+    if content is None and not path.is_file():
         raise DataError(f"'{path}' cannot be read: there is no such file")
     try:
-        reader: Reader = (CsvReader if path.suffix == ".csv" else ParquetReader)(path, chunk_rows)
+        reader: Reader = (
+            CsvReader(path, chunk_rows, content) if path.suffix == ".csv" else ParquetReader(path, chunk_rows)
+        )
     except OSError as problem:
         raise DataError(f"'{path}' cannot be read: {problem.strerror}") from None
     with closing(reader):

@@ -42,15 +42,19 @@ def find_table(folder: Path, name: str) -> Path | None:
     return None
 
 
-def read_table(path: str | Path, required: Sequence[str] = (), text: Sequence[str] = ("run",)) -> Table:
+def read_table(
+    path: str | Path, required: Sequence[str] = (), text: Sequence[str] = ("run",), content: bytes | None = None
+) -> Table:
     """Read a table; columns named in `text` stay text, the others must be numbers.
+
+    Where `content`, the bytes of a CSV file, is given, `path` only names it.
 
     Raises
     ------
     DataError
         where the file cannot be read, a required column is missing or a cell is not a number.
     """
-    with open_table(path, required) as reader:
+    with open_table(path, required, content=content) as reader:
         numbers: dict[str, list[Array]] = {name: [] for name in reader.names if name not in text}
         strings: dict[str, list[str]] = {name: [] for name in reader.names if name in text}
         for chunk in reader.chunks():

@@ -31,6 +31,7 @@ class Uncertainty:
     Attributes
     ----------
     misfit_um : standard deviation of the tip that no coefficient explains
+    largest_size : of the thermal states that training left out in turn, None where the bundle does not say
 
     Parameters
     ----------
@@ -49,7 +50,7 @@ class Uncertainty:
         self._directions = np.array(record.directions) * record.scale  # (R, P)
         self._size = np.array(record.mode_size)
         self._seen = np.array(record.seen_directions).reshape(-1, modes)  # (L, M)
-        self.misfit_um = record.misfit_um
+        self.misfit_um, self.largest_size = record.misfit_um, record.largest_size
         self._floor, self._rise = record.floor, record.rise
         if self._directions.ndim != 2 or self._directions.shape[1] != fields.size or self._size.shape != (modes,):
             raise BundleError(
@@ -93,19 +94,22 @@ class Uncertainty:
         """Return the tip's standard deviation [µm] (n, m) from the coefficients' part for s = 1 (n, m), for s (n,)."""
         return np.hypot(size[:, None] * usual, self.misfit_um)
 
-    def usual_tip(self, q: Array) -> Array:
-        """Return the coefficients' part of the tip's standard deviation [µm], shape (n, 3), at q (n, A) for s = 1."""
+    def usual_tip(self, q: Array, tool_mm: Array | None = None) -> Array:
+        """Return the coefficients' part of the tip's standard deviation [µm], shape (n, 3), at q (n, A) for s = 1.
+
+        `tool_mm` is the tip in the tool frame, shape (3,), by default the machine's.
+        """
         chain = Chain(self.fields.machine)
         found = np.zeros((len(q), 3))
         for first in range(0, len(q), CHUNK):
             part = q[first : first + CHUNK]
-            moved = np.einsum("nik,rnk->rni", chain.sensitivity(part)[:, :3], self._moved(part))
+            moved = np.einsum("nik,rnk->rni", chain.sensitivity(part, tool_mm)[:, :3], self._moved(part))
             found[first : first + CHUNK] = _root_sum(moved, axis=0) / UM
         return found
 
     def _moved(self, q: Array) -> Array:
         """Return the error terms of each direction, shape (R, n, K) [mm, rad]."""
-        return np.array([self.fields.evaluate(np.broadcast_to(d, (len(q), len(d))), q) for d in self._directions])
+        return self.fields.evaluate_each(self._directions, q)
 
 
 def _root_sum(values: Array, axis: int) -> Array:

@@ -6,6 +6,7 @@ import json
 import logging
 import logging.config
 
+from service.access.keys import without_keys
 from service.request_id import current
 from service.timestamps import format_time
 
@@ -28,7 +29,7 @@ class JsonLines(logging.Formatter):
         line |= {key: value for key, value in vars(record).items() if key not in _USUAL}
         if record.exc_info:
             line["traceback"] = self.formatException(record.exc_info)
-        return json.dumps(line, default=str)
+        return without_keys(json.dumps(line, default=str))  # somebody may put a key where none belongs: into a path
 
 
 def configure(level: str, *, access: bool) -> None:

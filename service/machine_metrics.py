@@ -12,6 +12,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 from service.machine_state import MachineState
+from service.measurements.drift import Drift
 from service.status import Status
 
 
@@ -26,16 +27,18 @@ class Snapshot:
     telemetry_age_s : since the newest sample
     map_age_s : since corrections, or their map, were asked for last
     sensors : per sensor that the network reads, whether its last reading was believed
+    drift : what probed deviations say
     """
 
     machine: str
     status: Status
-    thermal_weight: float
+    reliability: float
     correction_um: float | None
     remaining_um: float | None
     telemetry_age_s: float | None
     map_age_s: float | None
     sensors: dict[str, bool]
+    drift: Drift
     accepted: int
     refused: int
     positions: int
@@ -50,12 +53,13 @@ class Snapshot:
         return cls(
             machine=state.machine.name,
             status=outlook.status,
-            thermal_weight=outlook.target.weight,
+            reliability=outlook.target.weight,
             correction_um=state.largest_correction_um(),
             remaining_um=None if served is None else served.remaining_um,
             telemetry_age_s=None if newest is None else max(outlook.now_s - newest.time_s, 0.0),
             map_age_s=None if served is None else max(state.passes(outlook.now_s) - served.time_s, 0.0),
             sensors={n: n not in thermal.faults for n in thermal.sensors} if thermal is not None and heard else {},
+            drift=state.monitor.drift(state.bundle.version),
             accepted=state.counts.accepted,
             refused=state.counts.refused,
             positions=state.counts.positions,
@@ -79,7 +83,7 @@ class MachineCollector(Collector):
 
 def _families(snapshots: Sequence[Snapshot]) -> list[Metric]:
     gauges: list[tuple[str, str, Callable[[Snapshot], float | None]]] = [
-        ("thermal_weight", "How much of the thermal part counts, 0 to 1.", lambda s: s.thermal_weight),
+        ("reliability", "How much of the thermal part counts, 0 to 1.", lambda s: s.reliability),
         ("correction_um", "Largest correction, at corners and middle.", lambda s: s.correction_um),
         ("correction_remaining_um", "How far corrections may be from where they move to.", lambda s: s.remaining_um),
         ("telemetry_age_seconds", "Since the newest telemetry sample.", lambda s: s.telemetry_age_s),
@@ -93,6 +97,11 @@ def _families(snapshots: Sequence[Snapshot]) -> list[Metric]:
             if value is not None:
                 gauge.add_metric([snapshot.machine], value)
         families.append(gauge)
+    labels = ["machine", "component"]
+    residual = GaugeMetricFamily("thermotrue_residual_um", "Running residual of probed deviations.", labels=labels)
+    limit = GaugeMetricFamily("thermotrue_residual_limit_um", "What it stays within without drift.", labels=labels)
+    trend = GaugeMetricFamily("thermotrue_residual_trend_um_per_day", "Slope of the residual.", labels=labels)
+    drifting = GaugeMetricFamily("thermotrue_drifting", "1 where the residual left its limit.", labels=["machine"])
     status = GaugeMetricFamily("thermotrue_status", "1 for the present status.", labels=["machine", "status"])
     sensors = GaugeMetricFamily(
         "thermotrue_sensor_ok",
@@ -104,6 +113,7 @@ def _families(snapshots: Sequence[Snapshot]) -> list[Metric]:
     )
     positions = CounterMetricFamily("thermotrue_positions", "Positions compensated.", labels=["machine"])
     for snapshot in snapshots:
+        _add_drift(snapshot, residual, limit, trend, drifting)
         for known in Status:
             status.add_metric([snapshot.machine, known.value], float(known == snapshot.status))
         for sensor, ok in snapshot.sensors.items():
@@ -111,4 +121,22 @@ def _families(snapshots: Sequence[Snapshot]) -> list[Metric]:
         samples.add_metric([snapshot.machine, "accepted"], snapshot.accepted)
         samples.add_metric([snapshot.machine, "refused"], snapshot.refused)
         positions.add_metric([snapshot.machine], snapshot.positions)
-    return [*families, status, sensors, samples, positions]
+    return [*families, residual, limit, trend, drifting, status, sensors, samples, positions]
+
+
+def _add_drift(
+    snapshot: Snapshot,
+    residual: GaugeMetricFamily,
+    limit: GaugeMetricFamily,
+    trend: GaugeMetricFamily,
+    drifting: GaugeMetricFamily,
+) -> None:
+    drifting.add_metric([snapshot.machine], float(snapshot.drift.drifting))
+    for name, component in zip("xyz", snapshot.drift.components, strict=True):
+        for family, value in (
+            (residual, component.running_um),
+            (limit, component.limit_um),
+            (trend, component.trend_um_per_day),
+        ):
+            if value is not None:
+                family.add_metric([snapshot.machine, name], value)

@@ -9,95 +9,34 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from model.bundle import Bundle
 from model.chain import Chain
-from model.compensation import compensate
 from model.error_map import ErrorMap
 from model.exceptions import BundleError, ComputeError
-from model.predictor import Predictor
+from model.shared_predictors import predictor_of
 from model.transforms import Array
+from service.boot import boot_id
+from service.measurements.history import ARRIVED_UM, History, Past
+from service.measurements.monitor import Monitor
+from service.outcome import Correction, Counts, Outlook, Receipt
 from service.reach import Reach
-from service.safety import LARGEST_TERM, Served, Target, advance, clip, is_usable
+from service.recorder import Recorder
+from service.safety import LARGEST_TERM, Served, Target, advance, is_usable, longest_way_s
 from service.schemas import Sample
 from service.settings import Settings
+from service.snapshot import Snapshot
+from service.solver import Solved, Solver, Solvers
 from service.status import Condition, Status, most_serious
 from service.survey import Survey
 from service.thermal import Thermal, Zero
+from service.uncertainty import Interval, unapplied_um
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Outlook:
-    """What is predicted for one moment, before the limits.
-
-    Attributes
-    ----------
-    now_s : the machine's clock
-    target : the error map wanted
-    conditions : every reason not to trust it fully
-    """
-
-    now_s: float
-    target: Target
-    conditions: tuple[Condition, ...]
-
-    @property
-    def status(self) -> Status:
-        """The most serious condition."""
-        return most_serious(self.conditions)
-
-    @property
-    def warnings(self) -> list[str]:
-        """A sentence for each condition."""
-        return [c.sentence for c in self.conditions if c.sentence is not None]
-
-
-@dataclass(frozen=True)
-class Receipt:
-    """What became of telemetry samples."""
-
-    accepted: int
-    ignored: int
-    warnings: list[str]
-
-
-@dataclass(frozen=True)
-class Correction:
-    """Corrections of n positions.
-
-    Attributes
-    ----------
-    outlook : what they are on their way to
-    corrected, correction_mm : shape (n, A) [mm]
-    deviation_mm : shape (n, 3), predicted at the programmed positions, not limited
-    limited : shape (n,)
-    predicted : the error map that the deviations come from
-    tool_mm : tool tip in the tool frame; None is the machine's own
-    """
-
-    outlook: Outlook
-    corrected: Array
-    correction_mm: Array
-    deviation_mm: Array
-    limited: NDArray[np.bool_]
-    predicted: ErrorMap
-    tool_mm: Array | None
-
-
-@dataclass
-class Counts:
-    """What has come in since the start: samples taken in, samples of no use, positions compensated."""
-
-    accepted: int = 0
-    refused: int = 0
-    positions: int = 0
 
 
 class MachineState:
@@ -117,6 +56,9 @@ class MachineState:
         one whose rate of correction cannot be bounded yet.
     """
 
+    KEPT = ("served", "counts", "watchers", "recorder", "monitor", "_reach", "_status")
+    """What belongs to the machine and not to its bundle: `adopt` keeps it."""
+
     def __init__(
         self, bundle: Bundle, settings: Settings, clock: Callable[[], float], steady: Callable[[], float]
     ) -> None:
@@ -130,10 +72,15 @@ class MachineState:
             raise BundleError(f"bundle '{bundle.path}': geometry.csv has a term beyond a metre or {LARGEST_TERM:g} rad")
         self.thermal: Thermal | None = None
         if bundle.manifest.network is not None:
-            self.thermal = Thermal(Predictor(bundle), bundle.manifest.network, bundle.machine)
+            self.thermal = Thermal(predictor_of(bundle), bundle.manifest.network, bundle.machine)
         self.served: Served | None = None
         self.counts = Counts()
+        self.watchers: list[list[Sample]] = []
+        self.recorder: Recorder | None = None
+        self.monitor = Monitor()
+        self.history = History()
         self._reach = Reach.of(self.chain)
+        self._solvers = Solvers(self.chain)
         self._target = Target(bundle.geometry, None, 0.0)
         self._status = Status.OK
 
@@ -156,8 +103,26 @@ class MachineState:
         """The datum in force."""
         return Zero("absolute") if self.thermal is None else self.thermal.zero
 
+    def adopt(self, other: MachineState) -> None:
+        """Go on with another bundle of the same machine: its network, state and limits, from where this one serves.
+
+        What is served stays, so the correction moves to the other prediction no faster than the rate, and the time
+        before counts for the way to the old one. It happens in place, since streams hold on to a machine for long.
+        """
+        if self.served is not None and not self.settings.replay:
+            self.served = self._advanced(None, self.now())[1]
+        kept = {name: value for name, value in vars(self).items() if name in self.KEPT}
+        vars(self).clear()
+        vars(self).update({**vars(other), **kept})
+        self._tell(self.outlook(self.now()).status)
+
     def take(self, samples: Sequence[Sample]) -> Receipt:
-        """Advance the thermal state by samples, in the order of their times."""
+        """Advance the thermal state by samples, in the order of their times.
+
+        `watchers` get them, too: a model that is about to be activated.
+        """
+        for watcher in self.watchers:
+            watcher.extend(samples)
         receipt = self._take(samples)
         self.counts.accepted += receipt.accepted
         self.counts.refused += receipt.ignored
@@ -167,25 +132,66 @@ class MachineState:
         if self.thermal is None:
             unused = f"machine '{self.machine.name}' has no network, so telemetry does not change its correction"
             return Receipt(0, len(samples), [unused])
-        accepted = failed = 0
+        accepted = 0
+        taken: list[Sample] = []
+        late: list[Sample] = []
         faults: Counter[str] = Counter()
         reasons: dict[str, str] = {}
         for sample in sorted(samples, key=lambda s: s.time):
+            if self.thermal.state is not None and sample.time <= self.thermal.state.time_s:
+                late.append(sample)
+                continue
+            taken.append(sample)
             if not self.thermal.take(sample):
-                failed += self.thermal.failure is not None
                 continue
             accepted += 1
+            if self.history.is_due(sample.time):
+                self.history.note(self.past())
             found = {f"sensor '{n}'": f"{why}; replaced by its estimate" for n, why in self.thermal.faults.items()}
             found |= {f"channel '{n}'": why for n, why in self.thermal.held.items()}
             faults.update(found.keys())
             reasons |= found
         warnings = [f"{n} {reasons[n]}" + (f" ({c} samples)" if c > 1 else "") for n, c in faults.items()]
-        late = len(samples) - accepted - failed
         if late:
-            warnings.append(f"{late} of {len(samples)} samples are no newer than the thermal state and were ignored")
-        if failed:
-            warnings.append(f"{failed} of {len(samples)} samples were not used: {self.thermal.failure}")
+            warnings.append(
+                f"{len(late)} of {len(samples)} samples are no newer than the thermal state and were ignored"
+            )
+        if failed := len(taken) - accepted:
+            why = self.thermal.failure or "a later one was"
+            warnings.append(f"{failed} of {len(samples)} samples were not used: {why}")
+        if self.recorder is not None:
+            self.recorder.samples(taken, late)
         return Receipt(accepted, len(samples) - accepted, warnings)
+
+    def snapshot(self, *, last: bool = False) -> Snapshot:
+        """Return all that another process needs to go on from here; `last` where nothing is served after it."""
+        reach = self._reach
+        lengths = reach.shortest_mm, reach.longest_mm
+        tools = None if lengths[0] is None or lengths[1] is None else (lengths[0], lengths[1])
+        memory = None if self.thermal is None else self.thermal.memory()
+        return Snapshot(self.bundle.version, memory, self.served, tools, boot_id(), last=last)
+
+    def resume(self, snapshot: Snapshot) -> None:
+        """Go on from what was served last; the thermal part is restored by `service.restore`.
+
+        The time since then counts for the rate limit where the clock is known to have gone on and the target is the
+        one that it was on its way to. Elsewhere none counts, so that nothing jumps. After a kill, the same map may have
+        been served for long after its snapshot, so no more time counts than the way that was left takes.
+        """
+        for length_mm in snapshot.tool_lengths_mm or ():
+            self._reach = self._reach.including(length_mm)
+        served = snapshot.served
+        if served is None:
+            return
+        if not self.settings.replay:
+            now_s = self.steady()
+            since_s = 0.0
+            if snapshot.boot is not None and snapshot.boot == boot_id() and snapshot.model == self.bundle.version:
+                since_s = max(now_s - served.time_s, 0.0)
+                if not snapshot.last:
+                    since_s = min(since_s, longest_way_s(served, self.machine.limits))
+            served = replace(served, time_s=now_s - since_s)
+        self.served = served
 
     def outlook(self, now_s: float) -> Outlook:
         """Return what is predicted for a moment."""
@@ -198,7 +204,14 @@ class MachineState:
         if not self._target.usable:
             sentence = "the predicted error terms are not usable numbers, so the last correction is held"
             conditions.append(Condition(Status.DEGRADED, sentence))
+        conditions += self.monitor.conditions(self.bundle.version)
         return Outlook(now_s, self._target, tuple(conditions))
+
+    def past(self) -> Past:
+        """Return the present prediction, for the time when it is past; there must be one."""
+        assert self.thermal is not None
+        served = self.served is not None and not self.served.held and self.served.remaining_um <= ARRIVED_UM
+        return Past.of(self.thermal, self._target.weight if served else None)
 
     def hand_out(self, tool_length_mm: float | None, now_s: float) -> tuple[Outlook, Served]:
         """Hand out the error map that is served now, for a client that compensates by itself.
@@ -210,36 +223,77 @@ class MachineState:
         tool_length_mm : the longest tool that it is used with; None is the machine's own
         """
         outlook, served = self._advanced(tool_length_mm, now_s)
-        self.served = served
+        self._serve(served)
         conditions = outlook.conditions + self._on_the_way(served)
         self._tell(most_serious(conditions))
         return Outlook(self.now(now_s), outlook.target, conditions), served
 
+    def hand_out_solver(self, tool_length_mm: float | None, now_s: float) -> tuple[Outlook, Served, Solver]:
+        """Hand out what corrections are computed from now, for any number of positions; it counts as served."""
+        outlook, served = self.hand_out(tool_length_mm, now_s)
+        predicted = outlook.target.errors if outlook.target.usable else served.errors
+        return outlook, served, self._solvers.of(served.errors, predicted, tool_length_mm)
+
     def compensate(self, q: Array, tool_length_mm: float | None, now_s: float) -> Correction:
         """Hand out corrections for positions q of shape (n, A) [mm], moving what is served towards the target."""
         outlook, served = self._advanced(tool_length_mm, now_s)
-        tool_mm = None
-        if tool_length_mm is not None:
-            tool_mm = tool_length_mm * np.asarray(self.machine.tool.direction)
-        solved = compensate(self.chain, q, served.errors, tool_mm).corrected
-        correction, clipped = clip(solved - q, self.machine.limits)
         predicted = outlook.target.errors if outlook.target.usable else served.errors
-        deviation = self.chain.tip(q, predicted.evaluate(q), tool_mm) - self.chain.tip(q, None, tool_mm)
-        if not (np.isfinite(correction).all() and np.isfinite(deviation).all()):
-            raise ComputeError("corrections must be finite numbers, got others; nothing was served")
-        self.served = served
+        solved = self._solvers.of(served.errors, predicted, tool_length_mm).solve(q)
+        uncertainty_um = self.uncertainty_um(q, outlook, tool_length_mm)
+        self._serve(served)
         self.counts.positions += len(q)
-        conditions = outlook.conditions + self._on_the_way(served) + self._bounded(int(clipped.sum()), q + correction)
+        conditions = outlook.conditions + self._on_the_way(served) + self._bounded(solved)
         self._tell(most_serious(conditions))
-        limited = clipped | (not served.arrived)
+        limited = solved.clipped if served.arrived else np.ones(len(q), dtype=np.bool_)
         at = Outlook(self.now(now_s), outlook.target, conditions)
-        return Correction(at, q + correction, correction, deviation, limited, predicted, tool_mm)
+        return Correction(
+            at,
+            solved.corrected,
+            solved.correction_mm,
+            solved.deviation_mm,
+            limited,
+            predicted,
+            self._solvers.tool_mm(tool_length_mm),
+            uncertainty_um,
+        )
+
+    def uncertainty_um(self, q: Array, outlook: Outlook, tool_length_mm: float | None) -> Array | None:
+        """Return half the width of the 95 % interval of the deviation predicted at q (n, A), shape (n,) [µm].
+
+        What the weight of the thermal part leaves out of the prediction is added. None where the bundle does not say
+        how far predictions may be off, and where the thermal part does not count: then nobody knows how far it is off.
+        """
+        target, spread = outlook.target, None if self.thermal is None else self.thermal.spread()
+        if self.interval is None or spread is None or target.thermal is None or not target.weight > 0.0:
+            return None
+        half_width = self.interval.half_width_um(q, tool_length_mm, spread)
+        if target.weight < 1.0 and target.usable:
+            tool_mm = None if tool_length_mm is None else tool_length_mm * np.asarray(self.machine.tool.direction)
+            half_width = half_width + unapplied_um(self.chain, q, target.thermal, target.weight, tool_mm)
+        return half_width if target.usable and np.isfinite(half_width).all() else None
+
+    @cached_property
+    def interval(self) -> Interval | None:
+        """How far predictions may be off, by position; None where the bundle does not say."""
+        if self.thermal is None or self.thermal.predictor.uncertainty is None:
+            return None
+        return Interval(self.thermal.predictor.uncertainty, self.chain)
 
     def largest_correction_um(self) -> float | None:
         """Return the largest correction over the working volume, as served last; None before anything was."""
         if self.served is None:
             return None
         return min(self._survey.largest_um(self.served.errors), self.machine.limits.max_correction_um)
+
+    @property
+    def reach(self) -> Reach:
+        """How far error terms can move a correction, with the tools seen so far."""
+        return self._reach
+
+    def _serve(self, served: Served) -> None:
+        self.served = served
+        if self.recorder is not None:
+            self.recorder.served(self)
 
     @cached_property
     def _survey(self) -> Survey:
@@ -277,15 +331,20 @@ class MachineState:
         )
         return (Condition(Status.OK, sentence),)
 
-    def _bounded(self, clipped: int, corrected: Array) -> tuple[Condition, ...]:
+    def _bounded(self, solved: Solved) -> tuple[Condition, ...]:
         """Return what the absolute limit did, and corrected coordinates that leave their axis' range."""
+        low, high = self.machine.axis_ends
+        leaves = (solved.corrected < low) | (solved.corrected > high)
+        if not (np.logical_or.reduce(leaves, axis=None) or np.logical_or.reduce(solved.clipped)):
+            return ()
         sentences: list[str] = []
+        clipped = int(solved.clipped.sum())
         if clipped:
             most_um = self.machine.limits.max_correction_um
             sentences.append(f"{clipped} positions are limited to ±{most_um:g} µm on an axis")
         for column, name in enumerate(self.machine.axis_names):
             axis = self.machine.axes[name]
-            leaving = int(((corrected[:, column] < axis.low) | (corrected[:, column] > axis.high)).sum())
+            leaving = int(leaves[:, column].sum())
             if leaving:
                 sentences.append(
                     f"{leaving} corrected positions leave the range {axis.low:g} ... {axis.high:g} mm of axis '{name}'"

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 
-from prometheus_client import CollectorRegistry, Histogram, ProcessCollector
+from prometheus_client import CollectorRegistry, Gauge, Histogram, ProcessCollector
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.machine_metrics import MachineCollector
+from service.store.journal import Journal
 
 BUCKETS_S = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5)
 """From a single position, well below 2 ms, to the largest telemetry request."""
@@ -36,14 +37,25 @@ class Metrics:
             buckets=BUCKETS_S,
             registry=self.registry,
         )
+        self._children: dict[tuple[str, str, str], Histogram] = {}
         self.registry.register(self.machines)
         ProcessCollector(registry=self.registry)
+
+    def watch(self, journal: Journal) -> None:
+        """Tell of the storage as well."""
+        ok = Gauge("thermotrue_storage_ok", "1 while the database takes writes.", registry=self.registry)
+        ok.set_function(lambda: float(journal.failure is None))
+        rows = Gauge("thermotrue_storage_queued_rows", "Rows that are not durable yet.", registry=self.registry)
+        rows.set_function(lambda: float(journal.queued_rows))
 
     def observe(self, scope: Scope, status: str, seconds: float) -> None:
         """Count a request that has been answered."""
         method = scope["method"] if scope["method"] in METHODS else OTHER
-        route = getattr(scope.get("route"), "path", OTHER)
-        self._requests.labels(method, route, status).observe(seconds)
+        key = method, getattr(scope.get("route"), "path", OTHER), status
+        child = self._children.get(key)
+        if child is None:
+            child = self._children[key] = self._requests.labels(*key)
+        child.observe(seconds)
 
 
 class RequestMetrics:

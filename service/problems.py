@@ -7,14 +7,18 @@ import logging
 import reprlib
 from collections.abc import Mapping
 from http import HTTPStatus
-from typing import Any, get_type_hints
+from typing import Any, cast, get_type_hints
 from urllib.parse import quote
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
+from fastapi.routing import iter_route_contexts
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
+from starlette.routing import compile_path
+from starlette.types import ExceptionHandler, Receive, Scope, Send
+from starlette.websockets import WebSocket
 
 from model.exceptions import ComputeError, InputError, ThermotrueError
 from model.validation import sentence
@@ -57,7 +61,7 @@ RESPONSES: dict[int | str, dict[str, Any]] = {
     "default": {
         "description": "Any error, as RFC 9457 problem details.",
         "headers": {HEADER: {"description": "The request's id.", "schema": {"type": "string"}}},
-        "content": {MEDIA_TYPE: {"schema": ProblemDetails.model_json_schema()}},
+        "content": {MEDIA_TYPE: {"schema": {"$ref": f"#/components/schemas/{ProblemDetails.__name__}"}}},
     }
 }
 """What every route may answer besides its own reply."""
@@ -86,7 +90,7 @@ def unprocessable(detail: str) -> Problem:
 
 def install(app: FastAPI) -> None:
     """Make every error of the app a problem."""
-    app.add_exception_handler(Problem, _on_problem)
+    app.add_exception_handler(Problem, cast("ExceptionHandler", _on_problem))
     app.add_exception_handler(InputError, _on_input_error)
     app.add_exception_handler(RequestValidationError, _on_validation)
     app.add_exception_handler(HTTPException, _on_http_exception)
@@ -94,9 +98,13 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(Exception, _on_anything)
 
 
-async def _on_problem(request: Request, problem: Exception) -> Response:
+async def _on_problem(request: Request | WebSocket, problem: Exception) -> Response | None:
     assert isinstance(problem, Problem)
-    return _respond(request, problem.status, problem.kind, str(problem), problem.headers)
+    answer = _answer(request.url.path, problem.status, problem.kind, str(problem), problem.headers)
+    if isinstance(request, WebSocket):
+        await request.send_denial_response(answer)  # where it has been accepted, its route answers its problems
+        return None
+    return answer
 
 
 async def _on_input_error(request: Request, problem: Exception) -> Response:
@@ -122,11 +130,22 @@ async def _on_http_exception(request: Request, problem: Exception) -> Response:
     if status == HTTPStatus.NOT_FOUND:
         detail = f"there is nothing at '{path}'; /docs lists what there is"
     elif status == HTTPStatus.METHOD_NOT_ALLOWED:
-        allowed = (problem.headers or {}).get("Allow", "another method")
-        detail = f"'{path}' must be called with {allowed}, got {method}"
+        # The framework names the methods of the first route with that path alone.
+        allowed = ", ".join(sorted(_methods(request)))
+        detail = f"'{path}' must be called with {allowed.replace(', ', ' or ')}, got {method}"
+        return _respond(request, status, kind, detail, {"Allow": allowed})
     elif status == HTTPStatus.BAD_REQUEST:
         kind, detail = "malformed-body", "the body must be JSON in UTF-8, and could not be read as such"
     return _respond(request, status, kind, detail, problem.headers)
+
+
+def _methods(request: Request) -> set[str]:
+    """Return the methods of all routes that have the request's path, the most literal one where several have."""
+    methods: dict[str, set[str]] = {}
+    for route in iter_route_contexts(request.app.routes):
+        if route.path and route.methods and compile_path(route.path)[0].match(request.url.path):
+            methods.setdefault(route.path, set()).update(route.methods)
+    return methods[min(methods, key=lambda path: path.count("{"))] if methods else set()
 
 
 async def _on_validation(request: Request, problem: Exception) -> Response:
@@ -178,16 +197,46 @@ def _schema(request: Request, place: str) -> type[BaseModel]:
 def _respond(
     request: Request, status: HTTPStatus, kind: str, detail: str, headers: Mapping[str, str] | None = None
 ) -> Response:
+    return _answer(request.url.path, status, kind, detail, headers)
+
+
+async def refuse(problem: Problem, scope: Scope, receive: Receive, send: Send) -> None:
+    """Answer with a problem from within a middleware; a WebSocket is not accepted then."""
+    answer = _answer(scope["path"], problem.status, problem.kind, str(problem), problem.headers)
+    if scope["type"] == "websocket":
+        await WebSocket(scope, receive, send).send_denial_response(answer)
+    else:
+        await answer(scope, receive, send)
+
+
+def details(path: str, problem: Exception) -> dict[str, Any]:
+    """Return what `ProblemDetails` describes, of any exception: where there is no response to put it into."""
+    if isinstance(problem, Problem):
+        return _details(path, problem.status, problem.kind, str(problem))
+    if isinstance(problem, InputError):
+        return _details(path, HTTPStatus.UNPROCESSABLE_ENTITY, "invalid-request", str(problem))
+    if isinstance(problem, ComputeError):
+        return _details(path, HTTPStatus.INTERNAL_SERVER_ERROR, "computation-failed", str(problem))
+    detail = "the service must answer every request, and failed on this one; its log has the traceback"
+    return _details(path, HTTPStatus.INTERNAL_SERVER_ERROR, "internal", detail)
+
+
+def _answer(
+    path: str, status: HTTPStatus, kind: str, detail: str, headers: Mapping[str, str] | None = None
+) -> Response:
+    # ASCII, since a client may have sent half a surrogate pair, which is quoted here and has no UTF-8.
+    content = json.dumps(_details(path, status, kind, detail), ensure_ascii=True)
+    return Response(content, status, headers=headers, media_type=MEDIA_TYPE)
+
+
+def _details(path: str, status: HTTPStatus, kind: str, detail: str) -> dict[str, Any]:
     if len(detail) > MAX_DETAIL:
         detail = detail[:MAX_DETAIL] + "…"
-    body = ProblemDetails(
-        type=f"urn:thermotrue:problem:{kind}",
-        title=status.phrase,
-        status=status,
-        detail=detail,
-        instance=quote(request.url.path, errors="replace"),
-        request_id=current() or "",
-    )
-    # ASCII, since a client may have sent half a surrogate pair, which is quoted here and has no UTF-8.
-    content = json.dumps(body.model_dump(), ensure_ascii=True)
-    return Response(content, status, headers=headers, media_type=MEDIA_TYPE)
+    return {
+        "type": f"urn:thermotrue:problem:{kind}",
+        "title": status.phrase,
+        "status": status,
+        "detail": detail,
+        "instance": quote(path, errors="replace"),
+        "request_id": current() or "",
+    }

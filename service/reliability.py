@@ -7,7 +7,8 @@ from __future__ import annotations
 
 SHARE_FULL, SHARE_NONE = 0.25, 0.5
 """Share of replaced sensors up to which the thermal part counts in full, and from which it does not count at all.
-Chosen: a quarter can be estimated well from the rest; with half of them gone the estimate leans on itself."""
+Chosen: a quarter can be estimated well from the rest; with half of them gone the cause is likely one that the others
+share. Where the bundle says what lost sensors cost (`model/reliability.py`), only the second holds."""
 EDGE_K = 2.0
 """How far outside the trained range a temperature may be before the weight falls [K] (chosen)."""
 

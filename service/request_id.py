@@ -12,6 +12,7 @@ HEADER = "X-Request-ID"
 _KEY = HEADER.lower().encode()
 _WELL_FORMED = re.compile(rb"[A-Za-z0-9._:/+=@-]{1,128}")
 """What UUIDs, trace ids and the ids of proxies are written with. Anything else could break a log or a header."""
+_STARTS = frozenset({"http.response.start", "websocket.accept", "websocket.http.response.start"})
 _current: ContextVar[str | None] = ContextVar("request_id", default=None)
 
 
@@ -28,7 +29,7 @@ class RequestIds:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on, and add its id to the answer."""
-        if scope["type"] != "http":
+        if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
         given = next((value for key, value in scope["headers"] if key == _KEY), b"")
@@ -37,7 +38,7 @@ class RequestIds:
         _current.set(chosen.decode())
 
         async def tagged(message: Message) -> None:
-            if message["type"] == "http.response.start":
+            if message["type"] in _STARTS:
                 message["headers"] = [*message.get("headers", ()), (_KEY, chosen)]
             await send(message)
 

@@ -119,6 +119,12 @@ def advance(served: Served | None, target: Target, now_s: float, limits: Limits,
     return Served(moved, now_s, _between_um(moved, target.errors, reach))
 
 
+def longest_way_s(served: Served, limits: Limits) -> float:
+    """Return how long it takes at most to the target that was wanted when this was served, at the rate allowed."""
+    slowest = (1.0 - SECOND_ORDER) * (1.0 - MAX_STEEPNESS)
+    return served.remaining_um / (limits.max_rate_um_per_min * slowest) * 60.0
+
+
 def bounded(errors: ErrorMap, limits: Limits, reach: Reach) -> ErrorMap:
     """Return the map, scaled down as a whole where it is too large for the bounds above to hold."""
     excess = max(
@@ -132,7 +138,8 @@ def bounded(errors: ErrorMap, limits: Limits, reach: Reach) -> ErrorMap:
 def clip(correction_mm: Array, limits: Limits) -> tuple[Array, NDArray[np.bool_]]:
     """Return each axis' correction within the absolute limit, and which points, shape (n,), were clipped."""
     most = limits.max_correction_um * UM
-    return np.clip(correction_mm, -most, most), np.logical_or.reduce(np.abs(correction_mm) > most, axis=1)
+    beyond = np.logical_or.reduce(np.abs(correction_mm) > most, axis=1)
+    return np.minimum(np.maximum(correction_mm, -most), most), beyond  # as np.clip, in a third of its time
 
 
 def is_usable(errors: ErrorMap) -> bool:

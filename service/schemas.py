@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
@@ -68,6 +68,9 @@ class CompensateQuery(BaseModel):
     explain: bool = Field(
         False,
         description=f"Add to each of at most {MAX_EXPLAINED_PER_REQUEST} points the share of each error term.",
+    )
+    tool_length_mm: Annotated[float, Field(ge=0, le=MAX_TOOL_LENGTH_MM, allow_inf_nan=False)] | None = Field(
+        None, description="With an Arrow stream, which has no place for a tool; JSON has its own."
     )
 
 
@@ -172,6 +175,11 @@ class Point(BaseModel):
     deviation_um: Vector = Field(
         description="Where the tip would be, less where it should be, at the programmed position; not limited."
     )
+    uncertainty_um: float | None = Field(
+        None,
+        description="Half the width of the 95 % interval of the largest component of `deviation_um`; not there where "
+        "the bundle does not say how far predictions may be off, or the thermal part does not count.",
+    )
     limited: bool = Field(description="The rate or the absolute limit holds the correction back.")
     explanation: Explanation | None = Field(None, description="Only with `?explain=true`.")
 
@@ -179,6 +187,7 @@ class Point(BaseModel):
 class CompensateReply(Header):
     """Corrected coordinates, in the order of the positions."""
 
+    reliability: float = Field(description="How much of the thermal part counts, 0 ... 1.")
     warnings: list[str]
     points: list[Point]
 
@@ -199,7 +208,7 @@ class ErrorsReply(Header):
     """Error terms predicted now: what the correction is on its way to."""
 
     warnings: list[str]
-    thermal_weight: float = Field(description="How much of the thermal part counts, 0 ... 1.")
+    reliability: float = Field(description="How much of the thermal part counts, 0 ... 1.")
     terms: list[TermErrors]
 
 
@@ -229,6 +238,9 @@ class SensorInfo(BaseModel):
     max_rate_degC_per_min: float
     used: bool = Field(description="Whether the network reads it.")
     valid_range_degC: tuple[float, float] | None = Field(description="Temperatures the network was trained on.")
+    taken_degC: float | None = Field(
+        description="What the network took last: the reading, or its estimate; null before the first, or if not used."
+    )
     fault: str | None = Field(description="Why its last reading was replaced; null for a good one.")
 
 
@@ -260,6 +272,12 @@ class MachineReply(Header):
     limits: LimitsInfo
     datum: Datum
     telemetry_time: str | None = Field(description="Of the newest sample; null before the first.")
+    correction_um: float | None = Field(
+        description="Largest correction on any axis, at the corners and the middle of the working volume, as served "
+        "last; null before the first."
+    )
+    remaining_um: float | None = Field(description="At most so far from where it moves to; null before the first.")
+    reliability: float = Field(description="How much of the thermal part counts, 0 ... 1.")
 
 
 class MachinesReply(BaseModel):
@@ -269,6 +287,38 @@ class MachinesReply(BaseModel):
 
 
 class HealthReply(BaseModel):
-    """Liveness or readiness."""
+    """Liveness."""
 
-    status: Literal["ok", "ready"]
+    status: Literal["ok"]
+
+
+class ReadyReply(BaseModel):
+    """Readiness."""
+
+    status: Literal["ready"]
+    storage: Literal["ok"] = Field(description="The database takes writes.")
+
+
+class AuditQuery(BaseModel):
+    """How much to answer."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    limit: int = Field(100, ge=1, le=1000, description="How many entries at most.")
+
+
+class AuditEntry(BaseModel):
+    """One change."""
+
+    time: str
+    who: str = Field(description="Name of the key, `anyone` where keys are off, or `service`.")
+    action: str
+    machine: str | None = Field(description="null where it concerns the whole service.")
+    detail: dict[str, Any]
+
+
+class AuditReply(BaseModel):
+    """What was changed, newest first."""
+
+    machine: str
+    entries: list[AuditEntry]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from service.page import PAGE
+
 _ALWAYS = [(b"x-content-type-options", b"nosniff"), (b"referrer-policy", b"no-referrer")]
 _CACHE, _POLICY = b"cache-control", b"content-security-policy"
 API_POLICY = "default-src 'none'; frame-ancestors 'none'"
@@ -12,8 +14,13 @@ DOCS_POLICY = (
     "img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 """Swagger UI starts from a script in its page, styles itself, and calls this service and no other."""
+PAGE_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src data:; connect-src 'self'; base-uri 'none'; "
+    "form-action 'none'; frame-ancestors 'none'"
+)
 _API = [(_CACHE, b"no-store"), (_POLICY, API_POLICY.encode())]
 _DOCS = [(_CACHE, b"no-cache"), (_POLICY, DOCS_POLICY.encode())]
+_PAGE = [(_CACHE, b"no-cache"), (_POLICY, PAGE_POLICY.encode())]
 
 
 class SecurityHeaders:
@@ -28,7 +35,7 @@ class SecurityHeaders:
             await self._app(scope, receive, send)
             return
         path = scope["path"]
-        wanted = _DOCS if path == "/docs" or path.startswith("/docs/") else _API
+        wanted = _DOCS if path == "/docs" or path.startswith("/docs/") else _PAGE if path in PAGE else _API
 
         async def secured(message: Message) -> None:
             if message["type"] == "http.response.start":

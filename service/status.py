@@ -13,6 +13,9 @@ class Status(StrEnum):
     OK = "ok"
     WARMING_UP = "warming_up"
     """Telemetry has not run long enough for the unknown thermal state at its start to be forgotten."""
+    DRIFTING = "drifting"
+    """Probed deviations leave the interval in which predictions should keep them: the machine is no longer the one that
+    the network was trained on."""
     DEGRADED = "degraded"
     """A sensor was replaced by its estimate, a channel by its last value, or a computation by its last result."""
     EXTRAPOLATING = "extrapolating"
@@ -21,6 +24,9 @@ class Status(StrEnum):
     """The last telemetry is too old; the thermal part fades out."""
     GEOMETRIC_ONLY = "geometric_only"
     """The bundle has no network, or no telemetry has come yet: only measured geometric errors are corrected."""
+
+
+_RANK = {status: rank for rank, status in enumerate(Status)}
 
 
 class Condition(NamedTuple):
@@ -32,5 +38,4 @@ class Condition(NamedTuple):
 
 def most_serious(conditions: Iterable[Condition]) -> Status:
     """Return the most serious status among the conditions, `ok` where there are none."""
-    order = list(Status)
-    return max((c.status for c in conditions), key=order.index, default=Status.OK)
+    return max([c.status for c in conditions], key=_RANK.__getitem__, default=Status.OK)

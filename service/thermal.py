@@ -15,8 +15,10 @@ from model.exceptions import ComputeError
 from model.machine import Machine
 from model.manifest import NetworkRecord
 from model.predictor import Predictor, ThermalState
+from model.reliability import Missed
 from model.terms import UM
 from model.transforms import Array
+from service.agreement import Agreement
 from service.guard import Track, judge
 from service.reliability import beyond, freshness_weight, range_weight, replacement_weight
 from service.safety import LARGEST_TERM
@@ -24,6 +26,7 @@ from service.schemas import Sample
 from service.settings import Settings
 from service.status import Condition, Status
 from service.timestamps import format_time
+from service.uncertainty import relative_spread
 
 log = logging.getLogger(__name__)
 
@@ -32,17 +35,45 @@ HOLD_S = 600.0
 PLAUSIBLE_CHANNEL = 2.0
 """How many times its largest value in training a channel may be (chosen: a faster spindle than any seen, but not a
 value in other units)."""
+UNLIKE = 0.95
+"""Weight below which a thermal state is said to be unlike those of the training (chosen: new kinds of runs differ a
+little from all others)."""
 
 DatumKind = Literal["absolute", "run-start", "set"]
 
 
 @dataclass(frozen=True)
 class Zero:
-    """The datum in force; `errors` is None where nothing is subtracted."""
+    """The datum in force; `errors` is None where nothing is subtracted, `modes` (M,) where they are not known."""
 
     kind: DatumKind
     errors: ErrorMap | None = None
     time_s: float | None = None
+    modes: Array | None = None
+
+
+@dataclass(frozen=True)
+class Memory:
+    """All that a machine's thermal part remembers: with it another process goes on exactly where this one was.
+
+    Attributes
+    ----------
+    state : of the network, None before the first sample
+    tracks, faults, held, failure : what the guard remembers and found in the newest sample
+    channels : the values in use, in the network's order
+    heard_s : when each channel was last given
+    run_start, zero : what `clear_datum` returns to, and the datum in force
+    """
+
+    state: ThermalState | None
+    tracks: Mapping[str, Track]
+    faults: Mapping[str, str]
+    held: Mapping[str, str]
+    failure: str | None
+    channels: Array
+    heard_s: Mapping[str, float]
+    run_start: Zero
+    zero: Zero
 
 
 class Thermal:
@@ -58,6 +89,7 @@ class Thermal:
         self.predictor = predictor
         self.record = record
         self.sensors = {name: machine.sensors[name] for name in predictor.sensors}
+        self._agreement = Agreement(predictor.sensor_model)
         self.state: ThermalState | None = None
         self.tracks: Mapping[str, Track] = {}
         self.faults: Mapping[str, str] = {}
@@ -69,6 +101,9 @@ class Thermal:
         self.zero = self._run_start
         self._absolute: ErrorMap | None = None
         self._relative: ErrorMap | None = None
+        self._spread: tuple[ThermalState, Zero, float | None] | None = None
+        self._missed: tuple[ThermalState, Missed | None] | None = None
+        self._excursed: tuple[ThermalState, float, list[Condition]] | None = None
 
     def take(self, sample: Sample) -> bool:
         """Advance the state by a sample; False where it is no newer than the state or cannot be used.
@@ -78,16 +113,14 @@ class Thermal:
         """
         if self.state is not None and sample.time <= self.state.time_s:
             return False
-        verdict = judge(self.sensors, self.tracks, sample.time, sample.temperatures, self.predictor.sensor_model)
+        verdict = judge(self.sensors, self.tracks, sample.time, sample.temperatures, self._agreement)
         self._tell(verdict.faults)
         self.tracks, self.faults = verdict.tracks, verdict.faults
         channels = self._heard(sample)
-        readings = verdict.readings
-        if self.state is None and self.replacement_weight() == 0.0:
+        readings = verdict.carried
+        if self.state is None and replacement_weight(len(self.faults), len(self.sensors)) == 0.0:
             self.failure = f"{len(self.faults)} of {len(self.sensors)} sensors have no plausible reading to start from"
             return False
-        if self.state is not None and len(self.faults) == len(self.sensors):
-            readings = self.state.inputs[: len(readings)]  # nothing to estimate from: all stay as they were
         try:
             if self.state is None:
                 state = self.predictor.start(sample.time, readings, channels)
@@ -106,7 +139,7 @@ class Thermal:
         self.state, self.failure, self._channels = state, None, channels
         self._absolute = self._relative = None
         if first and self._run_start.kind == "run-start":
-            self.zero = self._run_start = Zero("run-start", self._map(state), sample.time)
+            self.zero = self._run_start = Zero("run-start", self._map(state), sample.time, state.modes)
         return True
 
     def _heard(self, sample: Sample) -> Array:
@@ -140,16 +173,78 @@ class Thermal:
             self._relative = self._map(self.state) if zero is None else self._map(self.state) - zero
         return self._relative
 
+    def spread(self) -> float | None:
+        """Return how many times as far off as usual the prediction may be now, relative to the datum.
+
+        None before the first sample, and where the bundle does not say how far predictions may be off.
+        """
+        if self.state is None:
+            return None
+        if self._spread is None or self._spread[0] is not self.state or self._spread[1] is not self.zero:
+            now, datum = self.spread_now(), self.spread_of(self.zero)
+            self._spread = self.state, self.zero, None if now is None or datum is None else relative_spread(now, datum)
+        return self._spread[2]
+
+    def spread_now(self) -> float | None:
+        """Return the part of `spread` that comes from the present state."""
+        uncertainty, zero = self.predictor.uncertainty, self.zero
+        if self.state is None or uncertainty is None:
+            return None
+        if self.record.datum == "run-start" and zero.modes is None:
+            return None
+        since = zero.modes if self.record.datum == "run-start" else None  # such a network knows only changes
+        return math.hypot(float(uncertainty.size(self.state.modes, since)), self.predictor.lost_size(self.state))
+
+    def spread_of(self, zero: Zero) -> float | None:
+        """Return the part that comes from a datum; 0 for a network of changes, where the present state has it all."""
+        if zero.kind == "absolute" or self.record.datum == "run-start":
+            return 0.0
+        uncertainty = self.predictor.uncertainty
+        return None if uncertainty is None or zero.modes is None else float(uncertainty.size(zero.modes))
+
     def set_datum(self) -> bool:
         """Make the present state the zero; False before the first sample."""
-        if self.state is None:
+        zero = self.moment("set")
+        if zero is None:
             return False
-        self.zero, self._relative = Zero("set", self._map(self.state), self.state.time_s), None
+        self.put_zeros(self._run_start, zero)
         return True
 
     def clear_datum(self) -> None:
         """Go back to the network's own datum: absolute, or the first sample where only changes have a meaning."""
-        self.zero, self._relative = self._run_start, None
+        self.put_zeros(self._run_start, self._run_start)
+
+    def memory(self) -> Memory:
+        """Return all that is remembered; nothing in it is changed later."""
+        return Memory(
+            self.state,
+            self.tracks,
+            self.faults,
+            self.held,
+            self.failure,
+            self._channels,
+            dict(self._heard_s),
+            self._run_start,
+            self.zero,
+        )
+
+    def recall(self, memory: Memory) -> None:
+        """Go on from what the same network remembered."""
+        self.state, self.tracks, self.faults = memory.state, memory.tracks, memory.faults
+        self.held, self.failure = memory.held, memory.failure
+        self._channels, self._heard_s = memory.channels, dict(memory.heard_s)
+        self.put_zeros(memory.run_start, memory.zero)
+        self._absolute = None
+
+    def put_zeros(self, run_start: Zero, zero: Zero) -> None:
+        """Set what `clear_datum` returns to, and the datum in force."""
+        self._run_start, self.zero, self._relative = run_start, zero, None
+
+    def moment(self, kind: DatumKind) -> Zero | None:
+        """Return the present state as a datum; None before the first sample."""
+        if self.state is None:
+            return None
+        return Zero(kind, self._map(self.state), self.state.time_s, self.state.modes)
 
     def outlook(self, now_s: float, settings: Settings) -> tuple[float, list[Condition]]:
         """Return the weight of the thermal part, 0 ... 1, and every reason not to trust it fully."""
@@ -168,8 +263,9 @@ class Thermal:
                 )
             )
         excursion, outside = self._excursion()
-        weight *= excursion * self.replacement_weight()
-        conditions += outside + self._replaced() + self._failed()
+        reliance, unlike = self._reliance()
+        weight *= excursion * reliance
+        conditions += outside + unlike + self._replaced() + self._failed()
         seen_s = self.state.time_s - self.state.since_s
         if seen_s < self.record.settling_time_s:
             conditions.append(
@@ -181,9 +277,28 @@ class Thermal:
             )
         return weight, conditions
 
-    def replacement_weight(self) -> float:
-        """Return the weight that the share of replaced sensors leaves to the thermal part."""
-        return replacement_weight(len(self.faults), len(self.sensors))
+    def _reliance(self) -> tuple[float, list[Condition]]:
+        """Return the weight that lost sensors and the thermal state leave to the thermal part, and a sentence.
+
+        Where most sensors are gone they have a common cause, which no estimate knows of, so nothing is left.
+        """
+        assert self.state is not None
+        counted = replacement_weight(len(self.faults), len(self.sensors))
+        if self._missed is None or self._missed[0] is not self.state:
+            self._missed = self.state, self.predictor.missed(self.state)
+        missed = self._missed[1]
+        if missed is None:
+            return counted, []
+        conditions: list[Condition] = []
+        if missed.of_state < UNLIKE:
+            conditions.append(
+                Condition(
+                    Status.EXTRAPOLATING,
+                    f"the thermal state is unlike those that the network was trained on; for that the thermal part "
+                    f"counts {missed.of_state:.0%}",
+                )
+            )
+        return (0.0 if counted == 0.0 else missed.reliability), conditions
 
     def _map(self, state: ThermalState) -> ErrorMap:
         if self._absolute is None:
@@ -193,6 +308,8 @@ class Thermal:
     def _excursion(self) -> tuple[float, list[Condition]]:
         """Return the least weight of any sensor's distance from its trained range, and a sentence for each."""
         assert self.state is not None
+        if self._excursed is not None and self._excursed[0] is self.state:
+            return self._excursed[1], self._excursed[2]
         weight, conditions = 1.0, []
         for name, value in zip(self.sensors, self.state.inputs, strict=False):
             low, high = self.record.valid_range_degC[name]
@@ -206,6 +323,7 @@ class Thermal:
                         "network was trained on",
                     )
                 )
+        self._excursed = self.state, weight, conditions
         return weight, conditions
 
     def _replaced(self) -> list[Condition]:

@@ -1,9 +1,12 @@
+import os
 from collections.abc import Iterator
 
 import pytest
 from service_client import Service, serving
 
 import model.kernel  # noqa: F401 (compiled here where it was not, so that no test waits for it or reads that it is)
+
+os.environ.setdefault("THERMOTRUE_DATABASE", "sqlite://")  # no test, nor a process it starts, keeps anything at home
 
 
 @pytest.fixture

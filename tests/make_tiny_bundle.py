@@ -10,9 +10,11 @@ from pathlib import Path
 import torch
 
 from model.bundle import write_bundle
+from model.fields import Fields
 from model.machine import parse_machine
 from model.manifest import NetworkRecord
 from model.network import EXPORTER, OPSET, InputScale, Prior, ThermalNetwork, export_onnx
+from training.export import parity_sample
 
 FOLDER = Path(__file__).parent / "data" / "tiny_bundle"
 
@@ -62,21 +64,24 @@ def main() -> None:
             weights[source, 2, 1] = 4.0 * share  # EXX: slope, so that it is zero at X = 0
             weights[source, 2, 2] = 2.0 * share  # EC0Y
             weights[source, 1, 3] = -4.0 * share  # EZ0T: the spindle grows towards the workpiece
+    ranges = {"spindle": (15.0, 45.0), "column": (15.0, 35.0), "ambient": (15.0, 30.0)}
+    channel_ranges = {"spindle_rpm": (0.0, 10000.0)}
     record = NetworkRecord(
-        sensors=["spindle", "column", "ambient"],
-        channels=["spindle_rpm"],
+        sensors=list(ranges),
+        channels=list(channel_ranges),
         terms=TERMS,
         degree=1,
         modes=net.modes,
         time_constants_s=TIME_CONSTANTS_S,
         datum="absolute",
         settling_time_s=3600.0,
-        valid_range_degC={"spindle": (15.0, 45.0), "column": (15.0, 35.0), "ambient": (15.0, 30.0)},
-        valid_range_channels={"spindle_rpm": (0.0, 10000.0)},
+        valid_range_degC=ranges,
+        valid_range_channels=channel_ranges,
         sensor_mean_degC=[25.0, 22.0, 20.0],
         sensor_covariance_K2=[[25.0, 9.0, 2.0], [9.0, 4.0, 1.0], [2.0, 1.0, 1.0]],
         opset=OPSET,
         exporter=EXPORTER,
+        parity=parity_sample(net, Fields(machine, tuple(TERMS), degree=1), ranges, channel_ranges),
     )
     geometry = [
         ("EXX", 0.0, 0.0),

@@ -59,7 +59,10 @@ class Service:
 def serving(bundle: Bundle | None = None, **settings: Any) -> Iterator[Service]:
     clock = [NOON]
     app = create_app(
-        [bundle or load_bundle(TINY)], Settings(**settings), clock=lambda: clock[0], steady=lambda: clock[0]
+        [bundle or load_bundle(TINY)],
+        Settings(**{"database": "sqlite://"} | settings),
+        clock=lambda: clock[0],
+        steady=lambda: clock[0],
     )
     with TestClient(app, raise_server_exceptions=False) as client:
         yield Service(client, clock)

@@ -1,14 +1,15 @@
 import errno
-import json
+import hashlib
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bundles import edit
 from machines import machine_text
 
-from model.bundle import load_bundle, machine_of, write_bundle
+from model.bundle import load_bundle, machine_of, parse_bundle, read_files, version_of, write_bundle
 from model.exceptions import BundleError, ComputeError, DataError
 from model.machine import parse_machine
 from model.manifest import Manifest
@@ -22,12 +23,6 @@ TINY = Path(__file__).parent / "data" / "tiny_bundle"
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
     return Path(shutil.copytree(TINY, tmp_path / "bundle"))
-
-
-def edit(path: Path, change: Callable[[dict], object]) -> None:
-    manifest = json.loads((path / "manifest.json").read_text())
-    change(manifest)
-    (path / "manifest.json").write_text(json.dumps(manifest))
 
 
 def test_a_bundle_without_network_is_a_geometric_machine(tmp_path: Path) -> None:
@@ -67,14 +62,14 @@ def test_a_changed_file_is_refused(copy: Path, name: str) -> None:
 @pytest.mark.parametrize("name", ["machine.toml", "network.onnx", "geometry.csv", "manifest.json"])
 def test_a_missing_file_is_named(copy: Path, name: str) -> None:
     (copy / name).unlink()
-    with pytest.raises(BundleError, match=rf"bundle '.*': {name} cannot be read: No such file"):
+    with pytest.raises(BundleError, match=rf"bundle '.*': {name} is missing; export it again"):
         load_bundle(copy)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda m: m.update(format_version=99), "bundle '.*' has format version 99, this release reads 1"),
+        (lambda m: m.update(format_version=99), "bundle '.*' has format version 99, this release reads 2"),
         (
             lambda m: m.update(machine="other"),
             "bundle '.*': manifest.json is for machine 'other', machine.toml for",
@@ -89,10 +84,10 @@ def test_a_missing_file_is_named(copy: Path, name: str) -> None:
             lambda m: m.update(network=None),
             "bundle '.*': network.onnx and the manifest's 'network' must come together",
         ),
-        (lambda m: m["network"]["sensors"].append("oil"), "bundle '.*': the network needs sensor 'oil'"),
+        (lambda m: m["network"]["sensors"].append("oil"), "bundle '.*': manifest.json: the network needs sensor 'oil'"),
         (
             lambda m: m["network"]["valid_range_degC"].pop("column"),
-            "bundle '.*': .* no valid temperature range for",
+            "bundle '.*': manifest.json: valid_range_degC must have the range of each .*: 'column'",
         ),
         (
             lambda m: m["network"]["sensor_mean_degC"].pop(),
@@ -103,8 +98,28 @@ def test_a_missing_file_is_named(copy: Path, name: str) -> None:
             "bundle '.*': manifest.json: sensor_covariance_K2 must be symmetric and positive semidefinite",
         ),
         (
-            lambda m: m["network"]["sensor_mean_degC"].__setitem__(0, float("nan")),
-            "key 'network.sensor_mean_degC.0' in bundle '.*', manifest.json: input should be a finite number, got nan",
+            lambda m: m["network"]["terms"].append("EXX"),
+            "bundle '.*': manifest.json must name each error term of the network once",
+        ),
+        (
+            lambda m: m["network"]["valid_range_degC"].update(column=[30.0, 20.0]),
+            r"bundle '.*': manifest.json: valid_range_degC of 'column' must rise, got \[30, 20\]",
+        ),
+        (
+            lambda m: m["network"].update(time_constants_s=[300.0, 0.0]),
+            "bundle '.*': manifest.json: time_constants_s must be positive",
+        ),
+        (
+            lambda m: m["network"].update(modes=7),
+            "bundle '.*': manifest.json: modes must be a multiple of the 2 time constants, got 7",
+        ),
+        (
+            lambda m: m["network"].update(settling_time_s=1e12),
+            "bundle '.*': manifest.json: settling_time_s must be at most",
+        ),
+        (
+            lambda m: m["network"]["sensor_mean_degC"].__setitem__(0, 1e12),
+            "bundle '.*': manifest.json: sensor statistics must be those of temperatures",
         ),
     ],
 )
@@ -153,8 +168,81 @@ def test_a_bundle_where_none_can_be_gets_one_sentence(tmp_path: Path, monkeypatc
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ('{"machine": "tiny", "machine": "tiny"}', "key 'machine' stands twice"),
+        ('{"a": NaN}', "numbers must be finite, got NaN"),
+        ('{"a": 1e999}', "numbers must be finite, got 1e999"),
+        ('{"a": ' + "9" * 5000 + "}", "whole numbers must have at most 16 digits"),
+        ("[" * 100_000, "it is nested too deeply"),
+    ],
+)
+def test_a_manifest_that_could_mean_two_things(copy: Path, text: str, why: str) -> None:
+    (copy / "manifest.json").write_text(text)
+    with pytest.raises(BundleError, match=f"bundle '.*': manifest.json is not JSON: {why}"):
+        load_bundle(copy)
+
+
+def test_any_edit_of_the_manifest_is_noticed(copy: Path) -> None:
+    text = (copy / "manifest.json").read_text()
+    (copy / "manifest.json").write_text(text.replace('"settling_time_s": 3600.0', '"settling_time_s": 36000.0'))
+    with pytest.raises(BundleError, match=r"bundle '.*': manifest.json is not as it was written \(its digest"):
+        load_bundle(copy)
+
+
+def test_bytes_and_folder_are_one_bundle() -> None:
+    files = read_files(TINY)
+    one, other = load_bundle(TINY), parse_bundle(files, "upload")
+    assert (one.version, one.manifest, one.machine) == (other.version, other.manifest, other.machine)
+    assert one.geometry.rows() == other.geometry.rows()
+    with pytest.raises(BundleError, match="bundle 'upload' must have only machine.toml, .*, got 'notes.txt'"):
+        parse_bundle({**files, "notes.txt": b""}, "upload")
+    with pytest.raises(BundleError, match="bundle 'upload': geometry.csv must have at most 8388608 bytes, got more"):
+        parse_bundle({**files, "geometry.csv": b"0" * (8 * 1024 * 1024 + 1)}, "upload")
+
+
+def test_the_version_is_known_without_reading_the_contents() -> None:
+    files = read_files(TINY)
+    assert version_of(files) == load_bundle(TINY).version
+    for name, content in files.items():
+        assert version_of({**files, name: content[:-1]}) is None
+    assert version_of({}) is None
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda n: n["parity"]["coefficients"]["EZ0T"][7].__setitem__(
+            0, n["parity"]["coefficients"]["EZ0T"][7][0] + 1e-5
+        ),
+        lambda n: n["parity"]["inputs"].update(spindle=n["parity"]["inputs"]["column"]),
+        lambda n: n["terms"].__setitem__(slice(1, 3), n["terms"][:0:-1]),  # names exchanged, and nothing else
+    ],
+)
+def test_a_network_that_computes_something_else_is_refused(copy: Path, change: Callable[[dict], object]) -> None:
+    edit(copy, lambda m: change(m["network"]))
+    with pytest.raises(BundleError, match="bundle '.*': network.onnx must return what it did .* to 1e-06 µm"):
+        Predictor(load_bundle(copy))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda p: p["dt_s"].pop(),
+        lambda p: p["inputs"].pop("column"),
+        lambda p: p["coefficients"].pop("EXX"),
+        lambda p: p["coefficients"]["EXX"][0].pop(),
+    ],
+)
+def test_a_parity_sample_of_another_network_is_refused(copy: Path, change: Callable[[dict], object]) -> None:
+    edit(copy, lambda m: change(m["network"]["parity"]))
+    with pytest.raises(BundleError, match="bundle '.*': the manifest's parity sample is not one of this network"):
+        Predictor(load_bundle(copy))
+
+
 def test_a_network_that_does_not_fit_its_manifest_is_refused(copy: Path) -> None:
-    edit(copy, lambda m: m["network"].update(modes=3))
+    edit(copy, lambda m: m["network"].update(modes=4))
     with pytest.raises(BundleError, match="bundle '.*': network.onnx must take .* got .*; export it again"):
         Predictor(load_bundle(copy))
 
@@ -210,8 +298,6 @@ def test_geometry_rows_are_checked_on_loading(copy: Path) -> None:
     (copy / "geometry.csv").write_text("term,position,value\nEQQ,,1\n")
     with pytest.raises(BundleError, match="geometry.csv does not match"):
         load_bundle(copy)
-    import hashlib
-
     digest = hashlib.sha256((copy / "geometry.csv").read_bytes()).hexdigest()
     edit(copy, lambda m: m["files"].update({"geometry.csv": digest}))
     with pytest.raises(DataError, match="bundle '.*', geometry.csv, row 1: unknown error term 'EQQ'"):

@@ -1,9 +1,11 @@
 """The compiled path: it obeys the NumPy chain, position by position, and is never compiled when a request waits."""
 
+import hashlib
 import os
 import shutil
 import subprocess
 import sys
+import types
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,7 @@ from machines import five_axis_text, machine_text
 from test_model_compensation import random_errors
 from test_model_five_axis import CHAINS, poses
 
-from model import kernel, kernel_cache
+from model import kernel, kernel_cache, kernel_object
 from model.chain import Chain
 from model.compensation import SHARE, Compensator, compensate
 from model.error_map import ErrorMap
@@ -270,48 +272,137 @@ def test_small_and_large_angles_have_the_sines_they_should() -> None:
         )
 
 
-def test_nothing_is_compiled_while_positions_wait() -> None:
-    """Every argument has the type that was compiled at import, whatever the machine."""
-    compiled = len(kernel.solve.signatures)
-    for chain in (CHAINS[0], Chain(load_machine(preset("vmc3"))), quill_chain(QUILL[0])):
-        errors = ErrorMap.zero(chain.machine)
-        for q in (poses(chain, 3, np.random.default_rng(0)), np.zeros((0, len(chain.machine.axis_names)))):
-            compensate(chain, np.asfortranarray(q), errors)
-            plan(chain, errors, None)
-    assert compiled == len(kernel.solve.signatures) == 1
+def test_compiled_code_is_given_nothing_but_what_it_takes_arrays_for() -> None:
+    """It is called with addresses, and would read and write whatever is there."""
+    prepared = plan(CHAINS[0], ErrorMap.zero(CHAINS[0].machine), None)
+    good = [np.zeros((4, 5)), 0, 4, np.zeros(40)]
+    prepared.solve(*good)
+    wrong = (0, np.zeros((4, 5), dtype=np.float32)), (0, np.zeros((4, 10))[:, ::2]), (2, 5), (1, -1), (3, np.zeros(39))
+    for place, value in (*wrong, (0, np.zeros((5, 5))), (3, np.zeros(40, dtype=np.int64))):
+        with pytest.raises((TypeError, IndexError), match="the compiled path needs|positions .* must lie within 4"):
+            prepared.solve(*[value if i == place else v for i, v in enumerate(good)])
 
 
-COUNT = (
-    "import model.kernel as k; print(sum(k.solve.stats.cache_hits.values()), sum(k.solve.stats.cache_misses.values()))"
-)
+LOADED = "import sys, model.kernel; print('numba' in sys.modules)"
 
 
-def test_what_was_compiled_is_kept_and_a_read_only_folder_is_copied(tmp_path: Path) -> None:
-    """First start compiles, the second loads; where the folder cannot be written to, a copy of it is loaded."""
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kept"), "TMPDIR": str(tmp_path)}
-
-    def start(code: str = COUNT) -> str:
-        done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
-        return done.stdout.strip()
-
-    assert start() == "0 1"
-    assert start() == "1 0"
-    # A superuser may write anywhere, so the folder is only said to be read-only.
-    denied = "import os; os.access = lambda *a, **k: False; "
-    told = "; from numba.core import config; print(config.CACHE_DIR)"
-    count, folder = start(denied + COUNT + told).splitlines()
-    assert count == "1 0"
-    assert Path(folder).parent == tmp_path
-    assert folder != environment["NUMBA_CACHE_DIR"]
-    assert [p.name for p in tmp_path.iterdir()] == ["kept"]  # the copy went with its process
+def start(folder: Path, code: str = LOADED) -> subprocess.CompletedProcess[str]:
+    """Import the path in a process of its own; it says whether the compiler is there."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
+    return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
 
 
-def test_without_any_folder_it_still_runs(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    def refuses(*args: object, **options: object) -> object:
-        if options.get("cache"):
-            raise RuntimeError("cannot cache function 'f': no locator available")
-        return lambda function: function
+@pytest.fixture
+def kept(tmp_path: Path) -> Path:
+    """A folder with the path as it is kept here."""
+    content = kernel_cache._kept()
+    assert content is not None
+    digest = hashlib.sha256(content).hexdigest().encode()
+    (tmp_path / kernel_cache._name()).write_bytes(digest + b"\n" + content)
+    return tmp_path
 
-    monkeypatch.setattr(kernel_cache.numba, "njit", refuses)
-    assert kernel_cache.keeper({})("void()")(shutil.rmtree) is shutil.rmtree
+
+def test_it_is_loaded_without_the_compiler(kept: Path) -> None:
+    done = start(kept)
+    assert (done.stdout, done.stderr) == ("False\n", "")
+
+
+def test_what_was_kept_and_has_changed_is_compiled_anew(
+    kept: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A byte of it is enough; the new one takes its place. Compiling itself takes long, and so is done elsewhere."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(kept))
+    good = kernel_cache._kept()
+    assert good is not None
+    [file] = kept.iterdir()
+    changed = bytearray(file.read_bytes())
+    changed[5000] ^= 1
+    file.write_bytes(changed)
+    assert kernel_cache._kept() is None
+    assert kernel_cache._keep(good) == good
+    assert kernel_cache._kept() == good
+    assert [p.name for p in kept.iterdir()] == [kernel_cache._name()]
+
+
+def test_without_a_folder_it_still_runs_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file" / "folder"))
+    assert kernel_cache._keep(b"code") == b"code"
+    assert kernel_cache._kept() is None
     assert "set NUMBA_CACHE_DIR to a folder that can be written to" in caplog.text
+
+
+def test_another_source_or_processor_has_another_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = {kernel_cache._name()}
+    with monkeypatch.context() as patch:
+        patch.setattr(kernel_cache, "_processor", lambda: "another")
+        names.add(kernel_cache._name())
+    for source in kernel_cache.SOURCES:
+        shutil.copy(kernel_cache.HERE / source, tmp_path)
+    monkeypatch.setattr(kernel_cache, "HERE", tmp_path)
+    for source in kernel_cache.SOURCES:
+        (tmp_path / source).write_text((tmp_path / source).read_text(encoding="utf-8") + "#", encoding="utf-8")
+        names.add(kernel_cache._name())
+    assert len(names) == 5
+
+
+@pytest.mark.skipif(not kernel_object.SUPPORTED, reason="object code is loaded on Linux alone")
+@pytest.mark.parametrize("what", ["empty", "elf", "short", "name", "outside", "relocation"])
+def test_object_code_that_is_not_as_expected_is_refused(what: str) -> None:
+    content = kernel_cache._kept()
+    assert content is not None
+    first, _, code = content.partition(b"\n")
+    name = first.decode()
+    broken = {
+        "empty": b"",
+        "elf": b"\x7fELF\x02\x02" + code[6:],
+        "short": code[:5000],
+        "name": code,
+        "outside": code.replace(b"\0atan2\0", b"\0dlsym\0"),
+        "relocation": code,
+    }[what]
+    if what == "relocation":
+        linker = kernel_object._Linker(code)
+        table = next(s for s in linker._sections if s.kind == kernel_object.RELA and s.info in linker._places)
+        changed = bytearray(code)
+        changed[table.offset + 8] = 99
+        broken = bytes(changed)
+    with pytest.raises(kernel_object.ObjectError, match="^object code "):
+        kernel_object.load(broken, "another" if what == "name" else name)
+
+
+def test_code_is_executable_and_not_writable() -> None:
+    content = kernel_cache._kept()
+    assert content is not None
+    name, _, code = content.partition(b"\n")
+    loaded = kernel_object.load(code, name.decode())
+    for line in Path("/proc/self/maps").read_text(encoding="utf-8").splitlines():
+        begin, end = (int(part, 16) for part in line.split()[0].split("-"))
+        if begin <= loaded.address < end:
+            assert line.split()[1].startswith("r-x")
+            break
+    else:
+        pytest.fail("the code is nowhere")
+
+
+def test_where_object_code_cannot_be_loaded_the_compiler_does_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Path_:
+        address = 0
+
+    asked: list[bool] = []
+
+    def compiled(*, keep_object: bool) -> Path_:
+        asked.append(keep_object)
+        if keep_object:
+            raise RuntimeError("cannot cache function 'entry': no locator available")
+        return Path_()
+
+    builder = types.ModuleType("model.kernel_build")
+    builder.compiled = compiled  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "model.kernel_build", builder)
+    monkeypatch.setattr(kernel_cache, "SUPPORTED", False)
+    _, stays = kernel_cache.entry()
+    assert isinstance(stays, Path_)
+    assert asked == [True, False]

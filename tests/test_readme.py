@@ -17,7 +17,7 @@ from training.evaluation import NETWORK, NO_COMPENSATION, RIDGE
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-PAGES = ("data-set", "kinematics", "network", "synthetic-shop")
+PAGES = tuple(sorted(page.stem for page in (ROOT / "docs").glob("*.md")))
 BUNDLE = load_bundle(ROOT / "demo" / "vmc3")
 
 

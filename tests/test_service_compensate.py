@@ -78,7 +78,7 @@ def test_corrected_coordinates_put_the_exact_chain_at_the_ideal_tip(service: Ser
 def test_errors_on_the_grid_are_the_map(service: Service) -> None:
     service.warm(degC=25.0)
     answer = service.get("/errors")
-    assert answer["thermal_weight"] == 1.0
+    assert answer["reliability"] == 1.0
     machine = service.state.machine
     rows = [
         (t["term"], at, value)

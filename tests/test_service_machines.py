@@ -41,6 +41,7 @@ def test_what_is_served() -> None:
         "max_rate_degC_per_min": 20.0,
         "used": True,
         "valid_range_degC": [15.0, 35.0],
+        "taken_degC": None,
         "fault": None,
     }
     assert shown["limits"] == {"max_correction_um": 300.0, "max_rate_um_per_min": 60.0}
@@ -55,7 +56,7 @@ def test_a_bundle_without_a_network_is_served_as_a_geometric_machine(cold: Bundl
         reply = service.compensate()
         assert (reply["status"], reply["warnings"]) == ("geometric_only", [])
         assert reply["points"][0]["correction"]["X"] == pytest.approx(0.006, abs=1e-6)
-        assert service.get("/errors")["thermal_weight"] == 0.0
+        assert service.get("/errors")["reliability"] == 0.0
         assert service.get()["datum"] == {"kind": "absolute", "time": None}
         detail = "machine 'tiny' has no network, so it has no thermal state to take as a datum"
         assert_problem(service.client.post(f"{TINY_URL}/datum"), 409, "no-thermal-state", detail)
@@ -88,7 +89,10 @@ def test_settings_come_from_the_environment_and_options_override(monkeypatch: py
     assert (settings.port, settings.stale_after_s, settings.host) == (9000, 30.0, "127.0.0.1")
     assert settings.bundles == (Path("/bundles/a"), Path("/bundles/b"))
     monkeypatch.setenv("THERMOTRUE_STALE_AFTER_S", "soon")
-    with pytest.raises(InputError, match=r"key 'stale_after_s' in the settings \(an option, or .* got 'soon'"):
+    with pytest.raises(
+        InputError,
+        match=r"key 'stale_after_s' in the settings \(environment variable THERMOTRUE_STALE_AFTER_S\): .* got 'soon'",
+    ):
         read_settings()
 
 

@@ -65,7 +65,7 @@ def test_status_is_one_of_its_kinds(service: Service) -> None:
         service.clock[0] += age_s
         for status in Status:
             assert tiny(service, "status", status=status.value) == float(status == expected)
-    assert tiny(service, "thermal_weight") == pytest.approx(1.0 - 100.0 / 1800.0)
+    assert tiny(service, "reliability") == pytest.approx(1.0 - 100.0 / 1800.0)
 
 
 def test_sensors_ages_and_counts(service: Service) -> None:

@@ -11,6 +11,7 @@ from service_client import MIDDLE, NOON, TINY, TINY_URL, Service, assert_problem
 from model.bundle import load_bundle
 from model.exceptions import ComputeError
 from service.app import create_app
+from service.guard import CARRY_S
 from service.settings import Settings
 
 
@@ -37,7 +38,7 @@ def test_times_are_rfc_3339_or_epoch_seconds(service: Service) -> None:
 
 @pytest.mark.parametrize("reading", ["NaN", "1e999", "-Infinity", "null"])
 def test_a_reading_that_is_no_number_is_replaced_and_the_sample_kept(service: Service, reading: str) -> None:
-    service.warm(degC=22.0, end=NOON - 60.0)
+    service.warm(degC=22.0, end=NOON - CARRY_S - 1.0)  # after so long its last reading is not carried on
     body = (
         f'{{"samples": [{{"time": {NOON}, "channels": {{"spindle_rpm": 0}}, '
         f'"temperatures": {{"spindle": {reading}, "column": 22, "ambient": 22}}}}]}}'
@@ -55,7 +56,7 @@ def test_a_reading_that_is_no_number_is_replaced_and_the_sample_kept(service: Se
     estimate = thermal.predictor.sensor_model.fill(np.array([np.nan, 22.0, 22.0]))[0]
     assert thermal.state.inputs[0] == pytest.approx(estimate)
     assert warning.endswith(f"replaced by its estimate {estimate:.1f} °C")
-    assert 0.0 < service.get("/errors")["thermal_weight"] < 1.0  # one of three
+    assert 0.0 < service.get("/errors")["reliability"] < 1.0  # one of three
 
 
 def test_a_fault_is_reported_once_for_a_whole_batch(service: Service) -> None:
@@ -74,7 +75,7 @@ def test_all_sensors_gone_leave_the_temperatures_as_they_were(service: Service) 
     assert thermal.state is not None
     assert thermal.state.time_s == NOON
     np.testing.assert_array_equal(thermal.state.inputs[:3], 24.0)
-    assert service.get("/errors")["thermal_weight"] == 0.0
+    assert service.get("/errors")["reliability"] == 0.0
 
 
 def test_the_state_does_not_start_from_a_guess(service: Service) -> None:
@@ -112,11 +113,11 @@ def test_statuses_and_the_most_serious_of_them(replayed: Service) -> None:
 
 def test_temperatures_far_from_training_take_the_thermal_part_away(replayed: Service) -> None:
     replayed.warm(degC=30.0, hours=1)
-    assert replayed.get("/errors")["thermal_weight"] == 1.0
+    assert replayed.get("/errors")["reliability"] == 1.0
     replayed.telemetry(sample(NOON + 3600.0, 36.0))  # ambient: trained up to 30 °C, over 15 K
-    assert replayed.get("/errors")["thermal_weight"] == pytest.approx((7.5 - 6.0) / 5.5)
+    assert replayed.get("/errors")["reliability"] == pytest.approx((7.5 - 6.0) / 5.5)
     replayed.telemetry(sample(NOON + 7200.0, 40.0))
-    assert replayed.get("/errors")["thermal_weight"] == 0.0
+    assert replayed.get("/errors")["reliability"] == 0.0
 
 
 def test_a_network_that_fails_loses_the_sample_and_not_the_state(

@@ -6,6 +6,7 @@ from shop import write_dataset
 
 from model.exceptions import InputError
 from training.dataset import load_dataset, runs_named
+from training.plausibility import notices
 from training.split import default_split, everything, last_phase, split_by_run
 
 
@@ -109,6 +110,23 @@ def test_a_wrong_data_set_gets_one_sentence(tmp_path: Path, file: str, old: str,
     with pytest.raises(InputError, match=message) as caught:
         load_dataset(folder)
     assert "\n" not in str(caught.value)
+
+
+def test_a_run_of_one_sample_is_named_and_one_without_measurements_is_kept_in_mind(tmp_path: Path) -> None:
+    folder = write_dataset(tmp_path / "d", 2, 1.0)
+    telemetry = (folder / "telemetry.csv").read_text().splitlines()
+    short = [row for row in telemetry if not row.startswith("r1") or row.startswith("r1,0.0,")]
+    (folder / "telemetry.csv").write_text("\n".join(short) + "\n")
+    with pytest.raises(
+        InputError, match="'.*': run 'r1' must have at least two rows of telemetry, got one; take it out"
+    ):
+        load_dataset(folder)
+    (folder / "telemetry.csv").write_text("\n".join(telemetry) + "\n")
+    terms = (folder / "error_terms.csv").read_text().splitlines()
+    (folder / "error_terms.csv").write_text("\n".join(row for row in terms if not row.startswith("r1")) + "\n")
+    dataset = load_dataset(folder)
+    assert (tuple(dataset.runs), dataset.unmeasured) == (("r0",), ("r1",))
+    assert "runs without a measurement are left aside: r1" in notices(dataset)
 
 
 @pytest.mark.parametrize(

@@ -6,14 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bundles import edit
 from shop import touch, write_dataset
 
 from model.exceptions import BundleError, DataError
 from model.fields import Fields
 from model.tables import read_table, write_table
+from model.tip_effects import tip_effects
 from training.dataset import load_dataset
 from training.earlier import load_earlier
-from training.effects import tip_effects
 from training.information import gather
 from training.job import evaluate_bundle, train_bundle
 
@@ -99,9 +100,7 @@ def test_what_cannot_be_started_from_is_said(folder: Path, earlier: Path) -> Non
     data = write_dataset(folder / "other", runs=2)
     dataset = load_dataset(data)
     old = shutil.copytree(earlier, folder / "old")
-    manifest = json.loads((old / "manifest.json").read_text())
-    del manifest["training"]["input_scale"]
-    (old / "manifest.json").write_text(json.dumps(manifest))
+    edit(Path(old), lambda m: m["training"].pop("input_scale"))
     with pytest.raises(BundleError, match="must say how its inputs are scaled"):
         load_earlier(old, dataset, 3)
     table = read_table(data / "telemetry.csv", text=("run",))

@@ -9,18 +9,19 @@ import pytest
 from shop import write_dataset
 
 from model.bundle import load_bundle
-from model.exceptions import DataError
+from model.exceptions import ComputeError, DataError
 from model.fields import Fields
 from model.tables import read_table, write_table
 from training.baselines import fit_ridge
 from training.coverage import coverage
 from training.dataset import DataSet, load_dataset
 from training.evaluation import NETWORK, NO_COMPENSATION, RIDGE, compare, scored_rows
-from training.job import _Trained, train_bundle
+from training.job import train_bundle
 from training.labels import to_coefficients
-from training.split import split_by_run
+from training.split import everything, split_by_run
 from training.tip import tip_metric
-from training.trainer import Settings
+from training.trained import Task, Trained
+from training.trainer import Settings, Verdict
 
 RNG = np.random.default_rng(11)
 RUNS, HOURS = 3, 3.0
@@ -145,7 +146,7 @@ def test_a_term_only_in_the_left_out_runs_is_refused(tmp_path: Path) -> None:
     (folder / "error_terms.csv").write_text("\n".join(r for r in rows if not r.startswith("r0") or "EXX" in r) + "\n")
     data = load_dataset(folder)
     with pytest.raises(DataError, match="measurements to train on must show EZ0T, got it in the left-out part of"):
-        _Trained(data, split_by_run(data, ["r1"]), tip_metric(data), Settings())
+        Trained.of(Task(data, split_by_run(data, ["r1"]), tip_metric(data), Settings()))
 
 
 def test_sensors_logged_in_turn_train_and_ranges_are_those_of_the_training_runs(tmp_path: Path) -> None:
@@ -180,7 +181,7 @@ def test_a_machine_that_stood_still_is_found_before_training(
     cells = {n: ["" if np.isnan(v) else v for v in c] for n, c in table.numbers.items()}
     cells["value"] = (factor * table.numbers["value"]).tolist()
     write_table(folder / "error_terms.csv", {**{n: c.tolist() for n, c in table.text.items()}, **cells})
-    monkeypatch.setattr("training.job.train_network", None)
+    monkeypatch.setattr("training.trained.train_network", None)
     with pytest.raises(DataError, match=message):
         train_bundle(folder, tmp_path / "bundle", None, 0)
     (folder / "error_terms.csv").write_text(
@@ -191,3 +192,12 @@ def test_a_machine_that_stood_still_is_found_before_training(
     (folder / "machine.toml").write_text(text.replace(offset, "offset_mm = [0.0, 0.0, 0.0]"))
     with pytest.raises(DataError, match="the measured terms of data set '.*' must move the tool tip; none of them"):
         train_bundle(folder, tmp_path / "bundle", None, 0)
+
+
+def test_a_loss_that_is_not_finite_stops_the_training(tmp_path: Path) -> None:
+    data = load_dataset(write_dataset(tmp_path / "d", 2, 6.0))
+    task = Task(data, split_by_run(data, ["r1"]), tip_metric(data), Settings(learning_rate=float("inf"), folds=1))
+    with pytest.raises(
+        ComputeError, match="the loss must be finite, got nan at step 2 of the nonlinear residual; look"
+    ):
+        Trained.of(replace(task, split=everything(data)), Verdict(True, 1.0, 1.0))

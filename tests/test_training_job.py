@@ -13,13 +13,17 @@ import pytest
 from shop import write_dataset
 
 from model.bundle import load_bundle
+from model.network import EXPORTER, OPSET
 from model.predictor import Predictor
 from service.machine_state import MachineState
 from service.schemas import Sample
 from service.settings import Settings as ServiceSettings
 from training.dataset import load_dataset
 from training.evaluation import NETWORK, NO_COMPENSATION, RIDGE
+from training.fitted import fit_baselines
 from training.job import Result, train_bundle
+from training.plan import FAST
+from training.split import default_split, split_by_run
 from training.trainer import Settings
 
 THERMOTRUE = str(Path(sys.executable).with_name("thermotrue"))
@@ -48,6 +52,7 @@ def test_the_network_learns_a_lag_that_ridge_cannot_see(trained: Result) -> None
     assert trained.seen == []
     assert trained.bundle.manifest.network is not None
     assert trained.bundle.manifest.network.datum == "absolute"
+    assert (trained.bundle.manifest.network.opset, trained.bundle.manifest.network.exporter) == (OPSET, EXPORTER)
     assert 0.0 <= trained.bundle.manifest.network.settling_time_s < 4 * 3600
 
 
@@ -87,6 +92,30 @@ def test_the_cubic_fields_lose_nothing_that_was_linear(trained: Result) -> None:
     q[:, 0] = np.linspace(0.0, 800.0, 9)
     exx = predictor.fields.evaluate(np.tile(coefficients, (9, 1)), q)[:, result.bundle.machine.term_index["EXX"]]
     np.testing.assert_allclose(exx, np.linspace(exx[0], exx[-1], 9), atol=0.02 * np.abs(exx).max())
+
+
+def test_a_dry_run_says_what_it_would_do_and_does_nothing(folder: Path, tmp_path: Path) -> None:
+    done = run("train", folder, "--out", tmp_path / "bundle", "--test-runs", "r4,r5", "--dry-run")
+    assert done.returncode == 0, done.stderr
+    assert "6 runs of 35.8 h" in done.stdout
+    assert "it stays out of the bundle's network" in done.stdout
+    assert done.stderr == "note: sensor 'ambient' reads 20 °C throughout; is it stuck?\n"
+    told = json.loads(run("train", folder, "--out", tmp_path / "bundle", "--dry-run", "--json").stdout)
+    dataset = load_dataset(folder)
+    assert told["runs"] == list(dataset.runs)
+    assert told["terms_measured"] == list(dataset.measured_terms)
+    assert told["test_runs"] == default_split(dataset, 0).test_runs
+    assert told["trained_again_on_everything"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_baselines_in_the_table_are_those_trained_on_the_same_runs(trained: Result) -> None:
+    dataset, split = trained.dataset, split_by_run(trained.dataset, ["r4", "r5"])
+    fitted = fit_baselines(dataset, split, trained.metric, Settings().degree, FAST)
+    assert set(trained.scores) == {NO_COMPENSATION, NETWORK, *fitted}
+    for name, baseline in fitted.items():
+        run = dataset.runs["r4"]
+        np.testing.assert_array_equal(trained.methods[name](run), baseline.predict(run))
 
 
 @pytest.mark.parametrize(

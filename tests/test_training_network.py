@@ -20,9 +20,10 @@ from model.network import (
     export_onnx,
     linear_recurrence,
 )
+from model.parity import PARITY_UM
 from model.sensors import SensorModel
 from training.dataset import load_dataset
-from training.export import PARITY_UM, parity
+from training.export import parity
 
 
 def network(*, residual: bool = True, channels: int = 2) -> ThermalNetwork:
@@ -147,3 +148,19 @@ def test_a_channel_that_is_on_or_off_is_one_source_and_a_speed_several() -> None
     torch.testing.assert_close(
         torch.sort(drive[3:])[0], torch.tensor([0.25, 0.5**1.5, 0.5, 0.5**0.5, 1.0], dtype=torch.float64)
     )
+
+
+def test_a_row_of_a_batch_is_what_it_is_alone() -> None:
+    net = network()
+    session = onnxruntime.InferenceSession(export_onnx(net))
+    rng = np.random.default_rng(5)
+    for batch in (2, 7, 1000):
+        inputs, previous = (telemetry(batch, seed=s)[0] for s in (1, 2))
+        modes = rng.normal(0.0, 1.0, (batch, net.modes))
+        dt_s, fresh = rng.uniform(0.1, 7200.0, (batch, 1)), rng.integers(0, 2, (batch, 1)).astype(float)
+        fed = dict(zip(INPUT_NAMES, (inputs, previous, modes, dt_s, fresh), strict=True))
+        together = session.run(None, fed)
+        for row in rng.integers(0, batch, 5):
+            alone = session.run(None, {name: values[row : row + 1] for name, values in fed.items()})
+            for one, all_of_them in zip(alone, together, strict=True):
+                np.testing.assert_allclose(one[0], all_of_them[row], rtol=1e-12, atol=1e-9)

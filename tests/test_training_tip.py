@@ -18,9 +18,10 @@ from model.machine import load_machine
 from model.predictor import Predictor
 from model.sensors import SensorModel
 from model.tables import read_table, write_table
+from model.tip_effects import tip_effects
 from training.dataset import DataSet, load_dataset
 from training.decoder import kept, solve_decoder
-from training.effects import tip_effects, volume_form
+from training.effects import volume_form
 from training.evaluation import NETWORK, NO_COMPENSATION, RIDGE, compare
 from training.information import Directions, Information, gather
 from training.job import train_bundle

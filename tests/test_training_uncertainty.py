@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bundles import edit
 from shop import touch, write_dataset
 
 from model.bundle import load_bundle
@@ -208,9 +209,7 @@ def run(*args: object) -> subprocess.CompletedProcess[str]:
 
 def test_an_older_bundle_is_used_without(trained: Result, tmp_path: Path) -> None:
     old = Path(shutil.copytree(trained.bundle.path, tmp_path / "old"))
-    manifest = json.loads((old / "manifest.json").read_text())
-    del manifest["network"]["uncertainty"]
-    (old / "manifest.json").write_text(json.dumps(manifest))
+    edit(old, lambda m: m["network"].pop("uncertainty"))
     said = run("evaluate", old, trained.dataset.path, "--json")
     assert said.returncode == 0, said.stderr
     assert "interval" not in json.loads(said.stdout)
@@ -220,7 +219,7 @@ def test_an_older_bundle_is_used_without(trained: Result, tmp_path: Path) -> Non
     predictor = Predictor(load_bundle(TINY))
     assert predictor.uncertainty is None
     with pytest.raises(BundleError, match="bundle must say how far predictions may be off"):
-        predictor.spread(np.zeros((2, 2)))
+        predictor.spread([])
 
 
 def test_predict_adds_standard_deviations_where_they_are_asked_for(trained: Result, tmp_path: Path) -> None:
@@ -240,7 +239,7 @@ def test_predict_adds_standard_deviations_where_they_are_asked_for(trained: Resu
     predictor = Predictor(trained.bundle)
     assert predictor.uncertainty is not None
     telemetry_run = trained.dataset.runs["r9"].telemetry
-    spread = predictor.spread(predictor.follow_states(telemetry_run)[1])
+    spread = predictor.spread(predictor.states(telemetry_run))
     size = np.interp(plain.numbers["time_s"], telemetry_run.time_s, spread)
     expected = predictor.uncertainty.tip(q, size)[:, 2]
     np.testing.assert_allclose(more.numbers["dz_std_um"], expected, rtol=1e-6)

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+from model.exceptions import ThermotrueError
+
+if TYPE_CHECKING:
+    from training.plan import Plan
 
 PATH = click.Path(path_type=Path)
 
@@ -32,6 +37,13 @@ def _names(_ctx: click.Context, _option: click.Parameter, value: str | None) -> 
 @click.option("--seed", default=0, show_default=True, help="Of the split and the network's first weights.")
 @click.option("--picture", type=PATH, help="Draw the test run that drifts most, as measured and predicted.")
 @click.option("--report/--no-report", default=True, help="Write a page about the training beside the bundle: OUT.html.")
+@click.option(
+    "--baselines",
+    is_flag=True,
+    help="Measure the network beside all baselines: ARX, boosted trees and a GRU, too, which take a minute or more.",
+)
+@click.option("--fresh", is_flag=True, help="Start anew, where an interrupted training left OUT.checkpoint.")
+@click.option("--dry-run", is_flag=True, help="Check the data, say what would be done, and do nothing.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def train(
     dataset: Path,
@@ -41,25 +53,43 @@ def train(
     seed: int,
     picture: Path | None,
     report: bool,
+    baselines: bool,
+    fresh: bool,
+    dry_run: bool,
     as_json: bool,
 ) -> None:
     """Train a thermal network on the data set folder DATASET and write a bundle that `thermotrue serve` takes.
 
-    Prints what the network, ridge regression and no compensation leave of the tool tip's deviation on
-    measurements it was not trained on.
+    Prints what the network, baselines and no compensation leave of the tool tip's deviation on measurements it was
+    not trained on. What is done is kept in OUT.checkpoint: after Ctrl-C or a kill the same command goes on.
     """
+    from training.baselines.everyone import BASELINES
+    from training.checkpoint import Checkpoint, checkpoint_path
     from training.job import train_bundle
+    from training.plan import FAST, plan_training
     from training.report import check_report, report_path, write_report
 
     _check_picture(picture)
     page = report_path(out) if report else None
     if page is not None:
         check_report(page)
-    result = train_bundle(dataset, out, test_runs, seed, start)
-    if picture is not None:
-        result.draw(picture)
-    if page is not None:
-        write_report(result, page)
+    beside = BASELINES if baselines else FAST
+    checkpoint = Checkpoint(checkpoint_path(out), fresh=fresh)
+    if dry_run:
+        _print_plan(plan_training(dataset, out, test_runs, seed, start, beside), as_json)
+        return
+    try:
+        result = train_bundle(dataset, out, test_runs, seed, start, checkpoint, beside)
+        if picture is not None:
+            result.draw(picture)
+        if page is not None:
+            write_report(result, page)
+    except KeyboardInterrupt:
+        raise click.Abort(checkpoint.leave()) from None
+    except ThermotrueError:
+        checkpoint.leave()
+        raise
+    checkpoint.remove()
     if as_json:
         _print_json({**result.as_dict(), "report": None if page is None else str(page)})
         return
@@ -126,6 +156,16 @@ def evaluate(
         click.echo(f"note: the bundle was trained on {', '.join(result.seen)}, so these figures flatter it", err=True)
     if more is not None:
         click.echo(more.summary())
+
+
+def _print_plan(plan: Plan, as_json: bool) -> None:
+    if as_json:
+        _print_json(plan.as_dict())
+        return
+    for sentence in plan.sentences():
+        click.echo(sentence)
+    for notice in (plan.note, *plan.notices):
+        _print_note(notice)
 
 
 def _check_picture(path: Path | None) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,30 +12,14 @@ import torch
 
 from model.exceptions import DataError
 from model.predictor import Predictor
-from model.progress import Reporter
-from model.sensors import SensorModel
-from training.baselines.everyone import BASELINES
-from training.baselines.protocol import Baseline, Task
-from training.dataset import DataSet, load_dataset
-from training.evaluation import NETWORK, Method, compare
+from training.dataset import load_dataset
+from training.evaluation import NETWORK, compare
+from training.fitted import fit_baselines
 from training.job import Result
 from training.joined import joined
 from training.split import Split
-from training.tip import TipMetric, tip_metric
-from training.tip_methods import judged_network, on_terms
-
-
-@dataclass(frozen=True)
-class Trained:
-    """A baseline after training.
-
-    Attributes
-    ----------
-    settings : that left-out parts of the training data chose
-    """
-
-    predict: Method
-    settings: Mapping[str, Any]
+from training.tip import tip_metric
+from training.tip_methods import judged_network
 
 
 @dataclass(frozen=True)
@@ -109,28 +93,3 @@ def with_baselines(result: Result, train_on: Path | None) -> Comparison:
         {name: one.settings for name, one in trained.items()},
         names,
     )
-
-
-def fit_baselines(
-    dataset: DataSet, split: Split, metric: TipMetric, degree: int, baselines: Sequence[Baseline] = BASELINES
-) -> dict[str, Trained]:
-    """Return the baselines by name, trained on the training part of a split; `degree` is that of the series of terms.
-
-    Where the tip was measured instead of the terms, these are identified first.
-    """
-    sensors = SensorModel.fit(np.concatenate([dataset.runs[n].telemetry.temperatures for n in split.train_runs]))
-    found: dict[str, Trained] = {}
-    with Reporter("training baselines", len(baselines)) as reporter:
-        for baseline in baselines:
-            settings: dict[str, Any] = {}
-
-            def fit(
-                terms: DataSet, grid: TipMetric, baseline: Baseline = baseline, settings: dict[str, Any] = settings
-            ) -> Method:
-                fitted = baseline.fit(Task(terms, split, grid, sensors))
-                settings.update(fitted.settings)
-                return fitted.predict
-
-            found[baseline.name] = Trained(on_terms(fit, dataset, metric, degree), settings)
-            reporter.advance(baseline.name)
-    return found

@@ -91,6 +91,8 @@ def by_pattern(known: NDArray[np.bool_]) -> list[tuple[NDArray[np.bool_], NDArra
     """Return the distinct rows of a mask (n, m), and the numbers of the rows that are like each."""
     if not len(known):
         return []
+    if (known == known[0]).all():  # as mostly; finding that out by sorting takes long
+        return [(known[0], np.arange(len(known)))]
     patterns, which = np.unique(known, axis=0, return_inverse=True)
     order = np.argsort(which.ravel(), kind="stable")
     ends = np.cumsum(np.bincount(which.ravel(), minlength=len(patterns)))

@@ -71,6 +71,7 @@ class DataSet:
     geometry : cold errors, empty where none were measured
     fingerprint : SHA-256 over its files
     places : m, at how many positions one time can have the tip's deviation; 0 where it was not measured
+    unmeasured : runs of the telemetry of which nothing was measured; they are not in `runs`
     """
 
     path: Path
@@ -83,6 +84,7 @@ class DataSet:
     geometry: list[Row]
     fingerprint: str
     places: int = 0
+    unmeasured: tuple[str, ...] = ()
 
     @property
     def measured_terms(self) -> tuple[str, ...]:
@@ -150,7 +152,9 @@ def load_dataset(path: str | Path) -> DataSet:
         if len(labelled[name].time_s) < 2:
             raise DataError(f"'{sources[0][0]}': run '{name}' must have at least two times of measurement, got one")
     found = _fingerprint(path)
-    dataset = DataSet(path, machine, datum, sensors, tuple(channels), columns, labelled, geometry, found, places.count)
+    rest = tuple(name for name in runs if name not in labelled)
+    names = (sensors, tuple(channels), columns)
+    dataset = DataSet(path, machine, datum, *names, labelled, geometry, found, places.count, rest)
     return _without_idle_touches(dataset)
 
 
@@ -171,6 +175,8 @@ def _check_times(where: str, name: str, time_s: Array, runs: dict[str, Run]) -> 
     if name not in runs:
         raise DataError(f"{where}: run '{name}' must be in the telemetry, got {', '.join(runs)}")
     run = runs[name]
+    if len(run.time_s) < 2:
+        raise DataError(f"{where}: run '{name}' must have at least two rows of telemetry, got one; take it out")
     outside = (time_s < run.time_s[0]) | (time_s > run.time_s[-1])
     if outside.any():
         raise DataError(

@@ -59,6 +59,62 @@ def kept(time_s: Array, run: NDArray[np.intp], correlation_s: float) -> Array:
     return np.concatenate([[0.0], np.where(same, np.exp(-np.where(same, gap, 0.0) / correlation_s), 0.0)])
 
 
+@dataclass(frozen=True)
+class Normal:
+    """The normal equations of the linear decoder, from which it follows for any penalty and any sizes of the features.
+
+    Attributes
+    ----------
+    parts : per set of coefficients that were measured at the same times: X'X / n of shape (F + 1, F + 1), X'Y / n of
+        shape (F + 1, P'), which coefficients; n independent rows, the last column of X is constant
+    width, outputs : F and P
+    constant : value of the last column, 0 without a bias
+    """
+
+    parts: list[tuple[Array, Array, NDArray[np.intp]]]
+    width: int
+    outputs: int
+    constant: float
+
+    @classmethod
+    def of(cls, samples: Samples, correlation_s: float, *, bias: bool) -> Normal:
+        """Return them for measured coefficients; arguments as of `solve_decoder`."""
+        constant = BIAS_SIZE if bias else 0.0
+        features = with_constant(samples, constant)
+        parts = []
+        for rows, columns in patterns(np.isfinite(samples.targets)):
+            if not rows.any():
+                continue
+            whitening = Whitening.of(samples.where(rows), correlation_s)
+            x = whitening.apply(features[rows])
+            y = whitening.apply(samples.targets[np.ix_(rows, columns)])
+            parts.append((x.T @ x / whitening.effective, x.T @ y / whitening.effective, columns))
+        return cls(parts, samples.features.shape[1], samples.targets.shape[1], constant)
+
+    def solve(self, ridge: float, sizes: Array | None = None) -> tuple[Array, Array]:
+        """Return the weights (F, P) and the bias (P,); zero where a coefficient was never seen.
+
+        Parameters
+        ----------
+        ridge : as of `solve_decoder`
+        sizes : shape (F,): the penalty is that of weights of the features times these; the weights returned are of
+            the features themselves
+        """
+        found: Array = np.zeros((self.width + 1, self.outputs))
+        for square, product, columns in self.parts:
+            scale = np.ones((len(square), 1))
+            if sizes is not None:
+                scale[:-1, 0] = sizes
+            normal = scale * square * scale.T + ridge * np.eye(len(square))
+            found[:, columns] = scale * cho_solve(cho_factor(normal), scale * product)
+        return found[:-1], found[-1] * self.constant
+
+
+def with_constant(samples: Samples, constant: float) -> Array:
+    """Return the features and one more that is constant, shape (N, F + 1)."""
+    return np.concatenate([samples.features, np.full((len(samples.features), 1), constant)], axis=1)
+
+
 def solve_decoder(samples: Samples, *, ridge: float, correlation_s: float, bias: bool) -> tuple[Array, Array]:
     """Return the weights (F, P) and the bias (P,) of the linear decoder; zero where a coefficient was never seen.
 
@@ -70,22 +126,14 @@ def solve_decoder(samples: Samples, *, ridge: float, correlation_s: float, bias:
     correlation_s : time over which what is left is correlated [s]
     bias : whether the deviations have an absolute zero that may differ from the network's
     """
-    width, outputs = samples.features.shape[1], samples.targets.shape[1]
-    found = np.zeros((width + 1, outputs))
-    constant = np.full((len(samples.features), 1), BIAS_SIZE if bias else 0.0)
-    features = np.concatenate([samples.features, constant], axis=1)
-    for rows, columns in patterns(np.isfinite(samples.targets)):
-        if not rows.any():
-            continue
-        whitening = Whitening.of(samples.where(rows), correlation_s)
-        x = whitening.apply(features[rows])
-        y = whitening.apply(samples.targets[np.ix_(rows, columns)])
-        normal = x.T @ x / whitening.effective + ridge * np.eye(width + 1)
-        found[:, columns] = cho_solve(cho_factor(normal), x.T @ y / whitening.effective)
+    weights, shift = Normal.of(samples, correlation_s, bias=bias).solve(ridge)
     if samples.information is not None:
+        constant = BIAS_SIZE if bias else 0.0
         whitening = Whitening.of(samples, correlation_s)
         known, damping = samples.information, ridge * whitening.effective
-        weights = solve_weights(features, known, whitening.keep, samples.run, damping)
+        seen = solve_weights(with_constant(samples, constant), known, whitening.keep, samples.run, damping)
         # What the tip does not see, only terms that were measured themselves can say.
-        found = known.directions.coefficients(weights) + known.directions.unseen(found)
-    return found[:-1], found[-1] * (BIAS_SIZE if bias else 0.0)
+        found = np.concatenate([weights, shift[None] / (constant or 1.0)])
+        found = known.directions.coefficients(seen) + known.directions.unseen(found)
+        weights, shift = found[:-1], found[-1] * constant
+    return weights, shift

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +13,13 @@ import torch
 from model.bundle import Bundle, write_bundle
 from model.exceptions import ComputeError
 from model.fields import Fields
-from model.manifest import NetworkRecord, UncertaintyRecord
+from model.manifest import LostSensorRecord, NetworkRecord, ParityRecord, UncertaintyRecord
 from model.network import EXPORTER, OPSET, ThermalNetwork, export_onnx
+from model.parity import PARITY_UM, check_parity, parity_record, sample_inputs
 from model.sensors import SensorModel
 from model.transforms import Array
 from training.dataset import DataSet
 
-PARITY_UM = 1e-3
-"""How far the exported network may be from torch, in µm or µrad, anywhere on the sequence below."""
 PARITY_STEPS = 1440
 
 
@@ -36,6 +35,7 @@ def write_network(
     training: dict[str, Any],
     test: dict[str, Any],
     uncertainty: UncertaintyRecord | None = None,
+    lost_sensors: LostSensorRecord | None = None,
 ) -> Bundle:
     """Export a network, check it against torch, and write its bundle.
 
@@ -45,12 +45,16 @@ def write_network(
     ------
     ComputeError
         where the exported network differs from torch by more than `PARITY_UM`.
+    BundleError
+        where the bundle cannot be written, or would be refused wherever it is loaded.
     """
     exported = export_onnx(net)
     gap = parity(net, exported, dataset, sensor_model)
     if not gap <= PARITY_UM:
         raise ComputeError(f"the exported network must agree with torch to {PARITY_UM:g} µm, got {gap:.3g}")
     telemetry = [dataset.runs[name].telemetry for name in train_runs]
+    ranges = _ranges(dataset.sensors, np.concatenate([run.temperatures for run in telemetry]))
+    channel_ranges = _ranges(dataset.channels, np.concatenate([run.channels for run in telemetry]))
     record = NetworkRecord(
         sensors=list(dataset.sensors),
         channels=list(dataset.channels),
@@ -60,14 +64,18 @@ def write_network(
         time_constants_s=net.tau_s.tolist(),
         datum=dataset.datum,
         settling_time_s=settling_time_s,
-        valid_range_degC=_ranges(dataset.sensors, np.concatenate([run.temperatures for run in telemetry])),
-        valid_range_channels=_ranges(dataset.channels, np.concatenate([run.channels for run in telemetry])),
+        valid_range_degC=ranges,
+        valid_range_channels=channel_ranges,
         sensor_mean_degC=sensor_model.mean.tolist(),
         sensor_covariance_K2=sensor_model.covariance.tolist(),
         opset=OPSET,
         exporter=EXPORTER,
+        parity=parity_sample(net, fields, ranges, channel_ranges),
         uncertainty=uncertainty,
+        lost_sensors=lost_sensors,
     )
+    session = onnxruntime.InferenceSession(exported, providers=["CPUExecutionProvider"])
+    check_parity(session, record, fields, f"bundle '{path}'")  # before an older bundle is replaced
     return write_bundle(
         path,
         dataset.machine,
@@ -77,6 +85,24 @@ def write_network(
         training=training,
         test=test,
     )
+
+
+def parity_sample(
+    net: ThermalNetwork,
+    fields: Fields,
+    ranges: Mapping[str, tuple[float, float]],
+    channel_ranges: Mapping[str, tuple[float, float]],
+) -> ParityRecord:
+    """Return what torch computes for a few steps, to be stored beside the network.
+
+    Parameters
+    ----------
+    ranges, channel_ranges : of each sensor [°C] and each channel, in the order of the network's inputs
+    """
+    dt_s, inputs = sample_inputs(list(ranges.values()), list(channel_ranges.values()))
+    with torch.no_grad():
+        coefficients = net.decode(net.sequence(torch.tensor(inputs[None]), torch.tensor(dt_s[None])))[0].numpy()
+    return parity_record(list(ranges), list(channel_ranges), fields, dt_s, inputs, coefficients)
 
 
 def _ranges(names: Sequence[str], readings: Array) -> dict[str, tuple[float, float]]:

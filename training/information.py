@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.fields import Fields, turns
+from model.tip_effects import tip_effects
 from model.transforms import Array
 from training.coverage import by_pattern
-from training.effects import tip_effects, volume_form
+from training.effects import volume_form
 
 SMOOTH = 0.5
 """Expected size of a coefficient's effect on the tip, beside that of the one a degree lower (chosen)."""

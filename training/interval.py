@@ -116,8 +116,13 @@ def network_interval(
     """Compare a bundle's network with its own interval, or None where the bundle does not give one."""
     if predictor.uncertainty is None:
         return None
+    return interval(dataset, left_out, method, network_spread(predictor, dataset), predictor.uncertainty, metric)
+
+
+def network_spread(predictor: Predictor, dataset: DataSet) -> Spread:
+    """Return what says how far off a bundle's network may be."""
 
     def spread(run: MeasuredRun) -> Array:
-        return run.between(predictor.spread(predictor.follow_states(chosen_inputs(predictor, dataset, run))[1]))
+        return run.between(predictor.spread(predictor.states(chosen_inputs(predictor, dataset, run))))
 
-    return interval(dataset, left_out, method, spread, predictor.uncertainty, metric)
+    return spread

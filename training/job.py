@@ -2,32 +2,36 @@
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from model.bundle import Bundle, check_free, load_bundle
+from model.bundle import Bundle, load_bundle
 from model.exceptions import DataError
 from model.predictor import Predictor
-from model.sensors import SensorModel
-from training.baselines import fit_ridge
+from training.baselines.protocol import Baseline
+from training.checkpoint import Checkpoint, Stored
+from training.choice import Choice
 from training.dataset import DataSet, load_dataset, runs_named
-from training.earlier import Earlier, load_earlier
-from training.evaluation import NETWORK, NO_COMPENSATION, RIDGE, Method, Score, compare, scored_rows
-from training.export import write_network
+from training.evaluation import NETWORK, NO_COMPENSATION, Method, Score, compare, scored_rows
+from training.fitted import Trained as FittedBaseline
+from training.fitted import fit_baseline
 from training.interval import Interval, network_interval
 from training.making import Making, Stopwatch
+from training.plan import FAST, plan_training, stage_of
 from training.settling import settling_time_s
-from training.split import Mask, Split, default_split, everything, split_by_run
+from training.split import Mask
 from training.tip import TipMetric, tip_metric
-from training.tip_methods import judged_network, on_terms
-from training.trainer import Settings, Verdict, train_network
-from training.uncertainty import estimate
+from training.tip_methods import judged_network
+from training.trained import Task, Trained
+from training.trainer import Verdict
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,7 @@ class Result:
     note : which of the left-out measurements are not scored, or how; empty where all are
     making : how the bundle came about, where this job made it
     interval : how the network's 95 % interval did there; None where the bundle does not say how far it may be off
+    notices : what looks odd in the data, a sentence each
     """
 
     machine: str
@@ -57,6 +62,7 @@ class Result:
     note: str
     making: Making | None = None
     interval: Interval | None = None
+    notices: list[str] = field(default_factory=list)
 
     @property
     def test_runs(self) -> list[str]:
@@ -81,6 +87,7 @@ class Result:
             "test_runs": self.test_runs,
             "trained_on": self.seen,
             "note": self.note,
+            "notices": self.notices,
             "scores": {name: score.as_dict() for name, score in self.scores.items()},
             **({} if self.interval is None else {"interval": self.interval.as_dict()}),
         }
@@ -97,12 +104,21 @@ class Result:
         return f"bundle {self.bundle.path} (version {self.bundle.version}): {again}"
 
 
-def train_bundle(path: Path, out: Path, test_runs: list[str] | None, seed: int, start: Path | None = None) -> Result:
+def train_bundle(
+    path: Path,
+    out: Path,
+    test_runs: list[str] | None,
+    seed: int,
+    start: Path | None = None,
+    checkpoint: Checkpoint | None = None,
+    baselines: tuple[Baseline, ...] = FAST,
+) -> Result:
     """Train, measure on left-out data and write a bundle.
 
     With `test_runs` named, these stay out of the bundle's network. Without, the default split measures the network,
     and the bundle's network is trained again on everything: a customer's few runs are too dear to leave out.
-    `start` is a bundle whose network to start from.
+    `start` is a bundle whose network to start from. `checkpoint` keeps what is done, so that the same call goes on
+    after a kill; who made it removes it.
 
     Raises
     ------
@@ -110,48 +126,67 @@ def train_bundle(path: Path, out: Path, test_runs: list[str] | None, seed: int, 
         for wrong data, before anything is written.
     """
     torch.set_num_threads(1)  # the tensors are small; threads would wait for each other
-    check_free(out)
     watch = Stopwatch()
-    dataset = load_dataset(path)
-    watch.lap("reading the data set")
-    split = (
-        default_split(dataset, seed)
-        if test_runs is None
-        else split_by_run(dataset, runs_named(dataset, test_runs, "--test-runs"))
-    )
-    metric = tip_metric(dataset)
-    compare(dataset, split.test, {}, metric)  # is there something to test on? That is better known before training
-    settings = Settings(seed=seed)
-    earlier = None if start is None else load_earlier(start, dataset, settings.degree)
-    final = everything(dataset) if test_runs is None else split
-    measured = trained = _Trained(dataset, split, metric, settings, earlier=earlier)
-    watch.lap("training without the left-out part")
+    plan = plan_training(path, out, test_runs, seed, start, baselines, watch)
+    checkpoint = Checkpoint(None) if checkpoint is None else checkpoint
+    checkpoint.begin(plan.made_of, plan.stages)
+    for notice in plan.notices:
+        print(f"note: {notice}", file=sys.stderr)
+    dataset, split, metric = plan.dataset, plan.split, plan.metric
+    choice = Choice(plan.settings)
+    if plan.chooses:
+        choice = checkpoint.stage("choice", plan.measured.chosen, Choice.stored, Choice.restored)
+        watch.count("choosing the prior", checkpoint.seconds["choice"])
+        plan = replace(plan, settings=choice.settings)
+
+    def trained(name: str, task: Task, verdict: Verdict | None, what: str) -> Trained:
+        found = checkpoint.stage(
+            name, lambda: Trained.of(task, verdict), Trained.stored, lambda stored: Trained.restored(task, stored)
+        )
+        watch.count(what, checkpoint.seconds[name])
+        return found
+
+    measured = trained("network", plan.measured, None, "training without the left-out part")
     with tempfile.TemporaryDirectory() as folder:
-        predictor = Predictor(trained.write(Path(folder) / "bundle", settling_s=0.0, test={}))
+        before = checkpoint.bundle(
+            "bundle", lambda to: measured.write(to, settling_s=0.0, test={}), Path(folder) / "bundle"
+        )
+        predictor = Predictor(before)
     watch.lap("exporting and checking the ONNX file")
-    sensor_model = trained.sensor_model
-    ridge = on_terms(
-        lambda terms, grid: fit_ridge(terms, split, grid, sensor_model).predict, dataset, metric, settings.degree
-    )
-    watch.lap("fitting the baselines")
-    methods = {RIDGE: ridge, NETWORK: judged_network(predictor, dataset, metric)}
+    methods: dict[str, Method] = {}
+    for baseline in plan.baselines:
+        name = stage_of(baseline)
+        methods[baseline.name] = checkpoint.stage(
+            name,
+            partial(fit_baseline, baseline, dataset, split, metric, plan.settings.degree),
+            lambda found: found.stored({name: dataset.runs[name] for name in split.test_runs}),
+            FittedBaseline.restored,
+        ).predict
+        watch.count("fitting the baselines", checkpoint.seconds[name])
+    methods[NETWORK] = judged_network(predictor, dataset, metric)
     scores = compare(dataset, split.test, methods, metric)
     interval = network_interval(dataset, split.test, methods[NETWORK], predictor, metric)
     watch.lap("scoring")
-    settling_s = settling_time_s(predictor, dataset, metric)
-    watch.lap("measuring the settling time")
-    if test_runs is None:
-        trained = _Trained(dataset, final, metric, settings, trained.verdict, earlier)
-        watch.lap("training on everything")
-    note = scored_rows(dataset, split.test, metric).note
-    test = {"left_out": split.description, "note": note, "scores": {name: s.as_dict() for name, s in scores.items()}}
+    settling_s = checkpoint.stage(
+        "settling_time",
+        lambda: settling_time_s(predictor, dataset, metric),
+        lambda found: Stored(rest={"settling_time_s": found}),
+        lambda stored: float(stored.rest["settling_time_s"]),
+    )
+    watch.count("measuring the settling time", checkpoint.seconds["settling_time"])
+    served = measured
+    if plan.again:
+        verdict = measured.training.verdict
+        served = trained("network_of_everything", plan.served, verdict, "training on everything")
+    test = {
+        "left_out": split.description,
+        "note": plan.note,
+        "scores": {name: s.as_dict() for name, s in scores.items()},
+    }
     if interval is not None:
         test["interval"] = interval.as_dict()
-    bundle = trained.write(out, settling_s=settling_s, test=test)
+    bundle = served.write(out, settling_s=settling_s, test=test)
     watch.lap("exporting and checking the ONNX file")
-    making = Making(split, predictor, measured.training, trained.training, watch.seconds)
-    seen = split.test_runs if test_runs is None else []
-    left_out = split.description
     return Result(
         dataset.machine.name,
         bundle,
@@ -159,72 +194,14 @@ def train_bundle(path: Path, out: Path, test_runs: list[str] | None, seed: int, 
         metric,
         methods,
         scores,
-        left_out,
+        split.description,
         split.test,
-        seen,
-        note,
-        making,
+        split.test_runs if plan.again else [],
+        plan.note,
+        Making(split, predictor, measured.training, served.training, watch.seconds, choice),
         interval,
+        plan.notices,
     )
-
-
-class _Trained:
-    """A network trained on one part of a data set, and what its bundle says of it."""
-
-    def __init__(
-        self,
-        dataset: DataSet,
-        split: Split,
-        metric: TipMetric,
-        settings: Settings,
-        verdict: Verdict | None = None,
-        earlier: Earlier | None = None,
-    ) -> None:
-        self._dataset, self._split, self._settings, self._earlier = dataset, split, settings, earlier
-        readings = [dataset.runs[name].telemetry.temperatures for name in split.train_runs]
-        self.sensor_model = SensorModel.fit(np.concatenate(readings))
-        self.training = train_network(dataset, split, metric, self.sensor_model, settings, verdict, earlier)
-        self.uncertainty = estimate(
-            dataset,
-            split,
-            metric,
-            self.training.net,
-            self.training.fields,
-            self.sensor_model,
-            self.training.solve,
-            ridge=settings.ridge,
-            correlation_s=settings.correlation_s,
-        )
-
-    @property
-    def verdict(self) -> Verdict:
-        """Whether the nonlinear residual was kept."""
-        return self.training.verdict
-
-    def write(self, path: Path, *, settling_s: float, test: dict[str, Any]) -> Bundle:
-        """Write the bundle."""
-        dataset = self._dataset
-        return write_network(
-            path,
-            dataset,
-            self.training.net,
-            self.training.fields,
-            self.sensor_model,
-            self._split.train_runs,
-            settling_time_s=settling_s,
-            training={
-                "dataset": dataset.path.name,
-                "dataset_sha256": dataset.fingerprint,
-                "runs": self._split.train_runs,
-                "measurements": int(sum(mask.sum() for mask in self._split.train.values())),
-                "settings": self._settings.as_dict(),
-                "residual": asdict(self.verdict),
-                "input_scale": asdict(self.training.scale),
-                **({} if self._earlier is None else {"from": self._earlier.origin, "pull": self.training.pull}),
-            },
-            test=test,
-            uncertainty=self.uncertainty,
-        )
 
 
 def evaluate_bundle(path: Path, dataset_path: Path, runs: list[str] | None) -> Result:

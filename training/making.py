@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass, field
 
 from model.predictor import Predictor
+from training.choice import Choice
 from training.split import Split
 from training.trainer import Training
 
@@ -23,6 +24,11 @@ class Stopwatch:
         self.seconds[part] = self.seconds.get(part, 0.0) + now - self._since
         self._since = now
 
+    def count(self, part: str, seconds: float) -> None:
+        """Count time that was taken now or before a checkpoint."""
+        self._since = time.monotonic()
+        self.seconds[part] = self.seconds.get(part, 0.0) + seconds
+
 
 @dataclass(frozen=True)
 class Making:
@@ -35,6 +41,7 @@ class Making:
     measured : the same, with how the residual fared on the folds
     served : the network in the bundle; the same as `measured` where the left-out part stays out of it
     seconds : time that each part of the job took [s]
+    choice : of the prior's sizes and the penalty
     """
 
     split: Split
@@ -42,3 +49,4 @@ class Making:
     measured: Training
     served: Training
     seconds: dict[str, float] = field(default_factory=dict)
+    choice: Choice | None = None

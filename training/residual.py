@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from model.exceptions import ComputeError
 from model.network import Residual
 from model.progress import Reporter
 from model.transforms import Array
@@ -73,6 +74,11 @@ def fit_residual(
         loss.backward()
         optimiser.step()
         curve.append(float(loss.detach()) ** 0.5)
+        if not np.isfinite(curve[-1]):
+            raise ComputeError(
+                f"the loss must be finite, got {curve[-1]} at step {len(curve)} of the nonlinear residual; look for "
+                "extreme values in the data set"
+            )
         reporter.advance(f"left of the linear decoder's residual {curve[-1]:.0%}")
     return residual
 

@@ -25,9 +25,9 @@ def print_scores(scores: Mapping[str, Score], title: str) -> None:
     if len(runs) < 2:
         return
     by_run = Table(title="RMS [µm] run by run", title_justify="left")
-    by_run.add_column("run")
+    by_run.add_column("run", min_width=min(max(map(len, runs)), 24), overflow="fold")
     for name in scores:
-        by_run.add_column(name, justify="right")
+        by_run.add_column(name, justify="right", overflow="fold")
     for run in runs:
         by_run.add_row(run, *(f"{score.by_run_um[run]:.2f}" for score in scores.values()))
     console.print(by_run)

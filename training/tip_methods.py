@@ -10,10 +10,10 @@ import numpy as np
 from model.fields import Fields
 from model.predictor import Predictor
 from model.telemetry import Run
+from model.tip_effects import tip_effects
 from model.transforms import Array
 from training.dataset import Column, DataSet, MeasuredRun
 from training.decoder import kept
-from training.effects import tip_effects
 from training.evaluation import Method, column_basis, network_method
 from training.information import gather
 from training.labels import to_coefficients

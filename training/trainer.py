@@ -21,6 +21,7 @@ from training.decoder import solve_decoder
 from training.earlier import PULLS, Earlier
 from training.effects import judged_form
 from training.residual import fit_residual
+from training.sample_folds import sample_folds
 from training.samples import Samples, collect, input_scale
 from training.split import Split
 from training.tip import TipMetric
@@ -28,7 +29,7 @@ from training.tip import TipMetric
 
 @dataclass(frozen=True)
 class Settings:
-    """How to train; one set of defaults for all data (docs/network.md says how they were found).
+    """How to train (docs/network.md says how the defaults were found, `choice.py` what is chosen for each machine).
 
     Attributes
     ----------
@@ -44,7 +45,7 @@ class Settings:
 
     prior: Prior = field(default_factory=Prior)
     degree: int = 3
-    ridge: float = 0.1
+    ridge: float = 0.05
     correlation_s: float = 900.0
     hidden: int = 16
     steps: int = 300
@@ -123,9 +124,9 @@ def train_network(
     samples = collect(net, dataset, split.train, metric.coverage, fields, sensor_model)
     decoder = _Decoder(settings, judged_form(dataset, metric, fields), bias=dataset.datum == "absolute")
     shown = bool(np.isfinite(samples.targets).all(axis=1).any())  # the residual learns from times that show all terms
-    folds = _folds(samples, settings.folds) if verdict is None and shown else []
+    folds = sample_folds(samples, settings.folds) if verdict is None and shown else []
     if earlier is not None:
-        decoder.start_from(earlier, samples, _folds(samples, settings.folds))
+        decoder.start_from(earlier, samples, sample_folds(samples, settings.folds))
     with Reporter("training", settings.steps * (len(folds) + 1)) as reporter:
         if verdict is None:
             verdict = decoder.verdict(samples, folds, reporter)
@@ -229,13 +230,3 @@ def _added(residual: Residual | None, samples: Samples) -> Array:
         if np.any(samples.first):
             added = added - residual(torch.tensor(samples.first)).numpy()
     return added
-
-
-def _folds(samples: Samples, count: int) -> list[NDArray[np.bool_]]:
-    """Return which samples are inside for each fold: whole runs are left out, of a single run stretches of time."""
-    runs = np.unique(samples.run)
-    if len(runs) == 1:
-        part = np.arange(len(samples.run)) * count // len(samples.run)
-    else:
-        part = np.searchsorted(runs, samples.run) % count
-    return [part != k for k in np.unique(part)] if len(np.unique(part)) > 1 else []

@@ -19,13 +19,14 @@ from model.fields import Fields
 from model.manifest import UncertaintyRecord
 from model.network import ThermalNetwork
 from model.sensors import SensorModel
+from model.tip_effects import tip_effects
 from model.transforms import Array
 from model.uncertainty import NORMAL_95, Uncertainty
 from training.baselines.parts import grouped, parts
 from training.coverage import by_pattern
 from training.dataset import DataSet
 from training.decoder import Whitening
-from training.effects import judged_form, tip_effects
+from training.effects import judged_form
 from training.samples import Samples, collect
 from training.split import Split
 from training.tip import TipMetric, tip_metric
@@ -126,6 +127,7 @@ def estimate(
         parts=count,
         independent=independent,
         data=f"{what}, left out in turn",
+        largest_size=float(size.max()),
     )
 
 

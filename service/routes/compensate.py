@@ -3,42 +3,86 @@
 from __future__ import annotations
 
 from itertools import repeat
-from typing import Annotated
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Query
+from fastapi import FastAPI, Query, Response
+from pydantic_core import to_json
+from starlette.routing import BaseRoute
 
 from model.terms import UM
 from model.transforms import Array
+from service.access.roles import Role, needs
+from service.content_type import ARROW
 from service.explain import explain
-from service.machine_state import Correction, MachineState
+from service.machine_state import MachineState
+from service.outcome import Correction
 from service.problems import unprocessable
-from service.routes.dependencies import NamedMachine, check_samples, check_time, coordinates, header
+from service.routes.bulk import correct_stream
+from service.routes.by_content_type import route
+from service.routes.dependencies import (
+    NamedMachine,
+    check_samples,
+    check_time,
+    coordinates,
+    header,
+)
 from service.schemas import (
     MAX_EXPLAINED_PER_REQUEST,
     CompensateQuery,
     CompensateReply,
     CompensateRequest,
     Explanation,
-    Point,
     Sample,
-    Vector,
 )
 
-router = APIRouter(prefix="/v1", tags=["compensation"])
+PLAIN = CompensateQuery()
+_BINARY = {ARROW.decode(): {"schema": {"type": "string", "format": "binary"}}}
 
 
-@router.post("/machines/{name}/compensate", response_model_exclude_none=True)
+def install(app: FastAPI) -> BaseRoute:
+    """Add the route before all others, and return it."""
+    app.router.add_api_route(
+        "/v1/machines/{name}/compensate",
+        correct_positions,
+        methods=["POST"],
+        tags=["compensation"],
+        response_model=CompensateReply,
+        dependencies=[needs(Role.GATEWAY)],
+        responses={200: {"content": _BINARY}},
+        openapi_extra={"requestBody": {"content": _BINARY}},
+        route_class_override=route({ARROW: correct_stream}),
+    )
+    app.router.routes.insert(0, app.router.routes.pop())
+    return app.router.routes[0]
+
+
 async def correct_positions(
     machine: NamedMachine, request: CompensateRequest, query: Annotated[CompensateQuery, Query()]
-) -> CompensateReply:
+) -> Response:
     """Return the coordinates to command so that the tool tip ends up at the programmed positions.
 
     Temperatures, where given, count as a telemetry sample first. Where any part of the request is wrong, nothing
-    is computed and no sample taken.
+    is computed and no sample taken. The sample is stored, too, but the reply does not wait for that: post to
+    `telemetry` what must not be lost.
 
     With `?explain=true` each point says what each error term has to do with its `deviation_um`: its share in the
     workpiece frame, geometric and thermal apart.
     """
+    return Response(to_json(corrections(machine, request, query)), media_type="application/json")
+
+
+def corrections(machine: MachineState, request: CompensateRequest, query: CompensateQuery) -> dict[str, Any]:
+    """Return what `CompensateReply` describes; not as that record, since making one takes longer than the correction.
+
+    Raises
+    ------
+    Problem
+        where any part of the request is wrong; nothing is computed then, and no sample taken.
+    ComputeError
+        where the compensation does not converge.
+    """
+    if query.tool_length_mm is not None:
+        raise unprocessable("key 'tool_length_mm' in the query goes with Arrow streams; name the tool in the body")
     count = len(request.positions)
     if query.explain and count > MAX_EXPLAINED_PER_REQUEST:
         most = MAX_EXPLAINED_PER_REQUEST
@@ -75,28 +119,33 @@ def _explanations(machine: MachineState, q: Array, correction: Correction) -> li
 
 def _reply(
     machine: MachineState, correction: Correction, warnings: list[str], explanations: list[Explanation] | None
-) -> CompensateReply:
+) -> dict[str, Any]:
     outlook = correction.outlook
     axes = machine.machine.axis_names
+    count = len(correction.limited)
     rows = zip(
         correction.corrected.tolist(),
         correction.correction_mm.tolist(),
         (correction.deviation_mm / UM).tolist(),
         correction.limited.tolist(),
-        explanations or repeat(None, len(correction.limited)),
+        repeat(None, count) if correction.uncertainty_um is None else correction.uncertainty_um.tolist(),
+        explanations or repeat(None, count),
         strict=True,
     )
-    return CompensateReply(
+    points = []
+    for corrected, change, deviation, limited, uncertainty_um, explanation in rows:
+        point = {
+            "corrected": dict(zip(axes, corrected, strict=True)),
+            "correction": dict(zip(axes, change, strict=True)),
+            "deviation_um": dict(zip("xyz", deviation, strict=True)),
+            "uncertainty_um": uncertainty_um,
+            "limited": limited,
+            "explanation": explanation,
+        }
+        points.append({key: value for key, value in point.items() if value is not None})
+    return {
         **header(machine, outlook.now_s, outlook.status),
-        warnings=warnings + outlook.warnings,
-        points=[
-            Point(
-                corrected=dict(zip(axes, corrected, strict=True)),
-                correction=dict(zip(axes, change, strict=True)),
-                deviation_um=Vector(x=deviation[0], y=deviation[1], z=deviation[2]),
-                limited=limited,
-                explanation=explanation,
-            )
-            for corrected, change, deviation, limited, explanation in rows
-        ],
-    )
+        "reliability": outlook.target.weight,
+        "warnings": warnings + outlook.warnings,
+        "points": points,
+    }

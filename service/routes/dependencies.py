@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from fastapi import Depends, Request
+from starlette.requests import HTTPConnection
 
 from model.transforms import Array
 from model.validation import did_you_mean
@@ -24,7 +25,7 @@ MAX_REPLAY_S = 86400.0
 """The same in replay, which runs ahead; it still refuses milliseconds and wrong years."""
 
 
-def loaded_machines(request: Request) -> dict[str, MachineState]:
+def loaded_machines(request: HTTPConnection) -> dict[str, MachineState]:
     """Return all machines by name.
 
     Raises
@@ -41,6 +42,17 @@ def loaded_machines(request: Request) -> dict[str, MachineState]:
 
 async def named_machine(name: str, request: Request) -> MachineState:
     """Return the machine that the path names."""
+    return machine_named(name, request)
+
+
+def machine_named(name: str, request: HTTPConnection) -> MachineState:
+    """Return the machine of that name.
+
+    Raises
+    ------
+    Problem
+        404 where there is none, 503 until they are loaded.
+    """
     machines = loaded_machines(request)
     if name not in machines:
         hint = did_you_mean(name[:64], list(machines))
@@ -86,17 +98,23 @@ def _check_names(what: str, given: Iterable[str], known: Iterable[str], machine:
             raise unprocessable(f"unknown {what} '{name}'{at} for machine '{machine.machine.name}'{hint}")
 
 
-def coordinates(machine: MachineState, positions: Iterable[Mapping[str, float]], beyond_mm: float = 0.0) -> Array:
+def coordinates(
+    machine: MachineState,
+    positions: Iterable[Mapping[str, float]],
+    beyond_mm: float = 0.0,
+    where: str = "positions[{}]",
+) -> Array:
     """Return positions as an array of shape (n, A), every axis given and within its range.
 
     Parameters
     ----------
     beyond_mm : how far outside the range a coordinate may be, such as a corrected one
+    where : what stands for a position in messages, with {} for its index
     """
     axes = [machine.machine.axes[name] for name in machine.machine.axis_names]
     rows = []
     for index, position in enumerate(positions):
-        at = f"in positions[{index}]"
+        at = f"in {where.format(index)}"
         _check_names("axis", position, machine.machine.axes, machine, f" {at}")
         for axis in axes:
             value = position.get(axis.name)

@@ -10,8 +10,10 @@ from fastapi import APIRouter, Header, Query, Response
 from model.error_map import ErrorMap
 from model.structure import Body
 from model.terms import DIRECTIONS
-from service.machine_state import MachineState, Outlook
+from service.access.roles import Role, needs
+from service.machine_state import MachineState
 from service.map_schemas import AxisGeometry, BodyInfo, ErrorTables, MapQuery, MapReply, ToolInfo
+from service.outcome import Outlook
 from service.routes.datum import datum_of
 from service.routes.dependencies import NamedMachine, check_time, header
 from service.safety import Served
@@ -26,6 +28,7 @@ _ETAG = {"ETag": {"description": "The map's version, weak.", "schema": {"type": 
 @router.get(
     "/machines/{name}/map",
     response_model=MapReply,
+    dependencies=[needs(Role.GATEWAY)],
     responses={
         200: {"headers": _ETAG},
         304: {"description": "The map is still the one whose ETag came in If-None-Match.", "headers": _ETAG},

@@ -9,7 +9,8 @@ from fastapi import APIRouter, Query
 
 from model.terms import UM
 from model.transforms import Array
-from service.machine_state import MachineState, Outlook
+from service.machine_state import MachineState
+from service.outcome import Outlook
 from service.problems import unprocessable
 from service.routes.dependencies import NamedMachine, check_time, coordinates, header
 from service.schemas import MAX_POSITIONS_PER_REQUEST, ErrorsQuery, ErrorsReply, TermErrors
@@ -32,7 +33,7 @@ async def show_errors(machine: NamedMachine, query: Annotated[ErrorsQuery, Query
     return ErrorsReply(
         **header(machine, outlook.now_s, outlook.status),
         warnings=outlook.warnings,
-        thermal_weight=outlook.target.weight,
+        reliability=outlook.target.weight,
         terms=terms,
     )
 

@@ -1,11 +1,13 @@
-"""`/healthz`: the process answers. `/readyz`: it can compensate."""
+"""`/healthz`: the process answers. `/readyz`: it can compensate, and forgets nothing."""
 
 from __future__ import annotations
 
 from fastapi import APIRouter, Request
 
 from service.routes.dependencies import loaded_machines
-from service.schemas import HealthReply
+from service.schemas import HealthReply, ReadyReply
+from service.store.store import Store
+from service.store.unavailable import StorageUnavailable
 
 router = APIRouter(tags=["health"])
 
@@ -17,7 +19,17 @@ async def healthz() -> HealthReply:
 
 
 @router.get("/readyz")
-async def readyz(request: Request) -> HealthReply:
-    """Answer 200 once all bundles are loaded, 503 before."""
+async def readyz(request: Request) -> ReadyReply:
+    """Answer 200 once all bundles are loaded and while the database takes writes.
+
+    Elsewhere the answer is 503. While the database fails compensation goes on from memory, which a restart would
+    lose: let a supervisor restart the service by `/healthz`, and an operator look when this does not answer 200.
+    """
     loaded_machines(request)
-    return HealthReply(status="ready")
+    store: Store = request.app.state.store
+    if store.journal.failure is not None:
+        rows = store.journal.queued_rows
+        raise StorageUnavailable(
+            store.journal.failure, f"compensation goes on from memory, where {rows} rows wait to be written"
+        )
+    return ReadyReply(status="ready", storage="ok")

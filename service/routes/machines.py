@@ -31,6 +31,9 @@ def describe(state: MachineState) -> MachineReply:
     outlook = state.outlook(state.now())
     limits = machine.limits
     newest = None if thermal is None else thermal.state
+    taken: dict[str, float] = {}
+    if thermal is not None and newest is not None:
+        taken = dict(zip(thermal.sensors, newest.inputs.tolist(), strict=False))
     return MachineReply(
         **header(state, outlook.now_s, outlook.status),
         warnings=outlook.warnings,
@@ -42,6 +45,7 @@ def describe(state: MachineState) -> MachineReply:
                 max_rate_degC_per_min=sensor.max_rate_degC_per_min,
                 used=thermal is not None and name in thermal.sensors,
                 valid_range_degC=None if thermal is None else thermal.record.valid_range_degC.get(name),
+                taken_degC=taken.get(name),
                 fault=None if thermal is None else thermal.faults.get(name),
             )
             for name, sensor in machine.sensors.items()
@@ -54,4 +58,7 @@ def describe(state: MachineState) -> MachineReply:
         limits=LimitsInfo(max_correction_um=limits.max_correction_um, max_rate_um_per_min=limits.max_rate_um_per_min),
         datum=datum_of(state),
         telemetry_time=None if newest is None else format_time(newest.time_s),
+        correction_um=state.largest_correction_um(),
+        remaining_um=None if state.served is None else state.served.remaining_um,
+        reliability=outlook.target.weight,
     )

@@ -22,7 +22,8 @@ from training.split import Mask
 WIDTH = 7.0
 """Of every figure [inch]: what A4 leaves between its margins."""
 TRUTH, GREEN, RED = "#222222", "#0b6e4f", "#d1495b"
-TRAINED = "#efe9dc"
+TRAINED, BAND = "#efe9dc", "#cfe8dd"
+INTERVAL = "95 % interval"
 FEW = 60
 """Fewer measurements of a run are marked one by one."""
 MOST_DOTS = 300
@@ -46,7 +47,9 @@ def follow_run(prefix: str, run: LeftOutRun, baseline: str | None, legend: bool)
 
         panels = figure.subplots(1, 4, sharex=True)
         tip = [run.at_um[m] for m in shown]
-        low, high = _limits(np.concatenate([t.ravel() for t in tip]))
+        allowed = run.allowed_um
+        usual = [] if allowed is None else [np.median(allowed, axis=0), -np.median(allowed, axis=0)]
+        low, high = _limits(np.concatenate([*(t.ravel() for t in tip), *usual]))
         for d, axes in enumerate(panels):
             for method in shown:
                 values = run.at_um[method][:, d] if d < 3 else run.rms_um[method]
@@ -55,6 +58,9 @@ def follow_run(prefix: str, run: LeftOutRun, baseline: str | None, legend: bool)
                 marks = {"marker": "o", "ms": 1.8} if known.sum() < FEW or not run.alike else {}
                 joined = {} if run.alike else {"ls": "none"}
                 axes.plot(run.hours[known], values[known], label=method, **{**style, **marks, **joined})
+            if allowed is not None and d < 3:
+                edge = allowed[:, d]
+                axes.fill_between(run.hours, -edge, edge, color=BAND, lw=0, zorder=0.5, label=INTERVAL)
             if not run.left_out.all():
                 for begin, end in _stretches(~run.left_out, run.hours):
                     axes.axvspan(begin, end, color=TRAINED, lw=0, zorder=0)
@@ -67,7 +73,7 @@ def follow_run(prefix: str, run: LeftOutRun, baseline: str | None, legend: bool)
             else:
                 axes.set_ylim(bottom=0.0)
         if legend:
-            figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+            figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
 
     before, after = run.worst_um(NO_COMPENSATION), run.worst_um(NETWORK)
     alt = (

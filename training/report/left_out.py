@@ -8,8 +8,10 @@ import numpy as np
 
 from model.machine import Machine
 from model.transforms import Array
+from model.uncertainty import NORMAL_95
 from training.dataset import MeasuredRun
 from training.evaluation import NETWORK, NO_COMPENSATION, scored_rows
+from training.interval import network_spread
 from training.job import Result
 from training.report.units import plain
 from training.split import Mask
@@ -31,6 +33,8 @@ class LeftOutRun:
         others do, since the sum of fewer terms is another quantity
     at_um : by method, the residual of the tip at one place, shape (N, 3); NaN as above
     at : that place, in words
+    allowed_um : what the network's 95 % interval allows there to either side in x, y and z, shape (N, 3); None where
+        the bundle does not say, or at many places at once
     alike : whether the times show the same; where each shows other terms, one cannot be joined to the next
     """
 
@@ -44,6 +48,7 @@ class LeftOutRun:
     at_um: dict[str, Array]
     at: str
     alike: bool
+    allowed_um: Array | None = None
 
     @property
     def hours(self) -> Array:
@@ -89,6 +94,7 @@ def _follow(result: Result, name: str, scored: Mask) -> LeftOutRun:
         {m: _tip_at(result, r, place) * comparable[:, None] for m, r in left.items()},
         _place_in_words(result, run, place),
         bool(whole.any()),
+        _allowed(result, run, place),
     )
 
 
@@ -128,6 +134,18 @@ def _tip_at(result: Result, left: Array, place: int) -> Array:
         some = known.sum(axis=1, keepdims=True) > 0
         return np.asarray(np.where(some, np.sqrt(squares), np.nan))
     return np.asarray(tip[:, place])
+
+
+def _allowed(result: Result, run: MeasuredRun, place: int) -> Array | None:
+    if result.making is None or result.making.predictor.uncertainty is None or place == _EVERYWHERE:
+        return None
+    predictor, uncertainty = result.making.predictor, result.making.predictor.uncertainty
+    q = result.metric.positions[_middle(result)]
+    if place != _MIDDLE and run.places is not None:
+        q = run.places[np.isfinite(run.places[:, place]).all(axis=1)][0, place]
+    size = network_spread(predictor, result.dataset)(run)
+    usual = np.repeat(uncertainty.usual_tip(q[None]), len(size), axis=0)
+    return NORMAL_95 * uncertainty.whole(usual, size)
 
 
 def _middle(result: Result) -> int:

@@ -87,6 +87,7 @@ def render(result: Result) -> str:
         result=result,
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         verdict=_verdict(result),
+        interval_text=_interval_text(result),
         warnings=_warnings(result),
         tables=tables,
         scores_figure=_figure(figures.score_bars("scores", {n: s.share for n, s in result.scores.items()})),
@@ -118,6 +119,17 @@ def _verdict(result: Result) -> str:
     return text
 
 
+def _interval_text(result: Result) -> str:
+    """Return how the 95 % interval did, in a sentence; nothing where the bundle has none."""
+    if result.interval is None or not result.interval.count:
+        return ""
+    share, width = percent(result.interval.within), micrometres(result.interval.half_width_um)
+    return (
+        f"Of the tip's deviations in x, y and z on these measurements, {share} lie within the network's 95 % interval, "
+        f"which allows {width} to either side on average."
+    )
+
+
 def _warnings(result: Result) -> list[str]:
     found = []
     best = best_baseline(result)
@@ -132,6 +144,7 @@ def _warnings(result: Result) -> list[str]:
         )
     if len(result.dataset.runs) == 1:
         found.append("There is one run only: what is left out shares its start and its day with what was trained on.")
+    found += [f"{notice[0].upper()}{notice[1:]}" for notice in result.notices]
     missing = tables.not_learned(result.dataset)
     if missing:
         found.append(
@@ -161,6 +174,7 @@ def _followed(result: Result, runs: list[LeftOutRun]) -> dict[str, Any]:
         ],
         "followed_at": list(dict.fromkeys(run.at for run, _ in drawn)),
         "not_drawn": len(runs) - len(drawn),
+        "bands": any(run.allowed_um is not None for run, _ in drawn),
     }
 
 

@@ -82,8 +82,13 @@ def scores_by_run(result: Result) -> PageTable | None:
     if len(runs) < 2:
         return None
     runs.sort(key=lambda run: -result.scores[NETWORK].by_run_um[run])
+    head: tuple[str, ...] = ("run", *result.scores)
     rows = [(run, *(micrometres(score.by_run_um[run]) for score in result.scores.values())) for run in runs]
-    return _cut(PageTable("Root mean square, run by run, worst first.", ("run", *result.scores), rows))
+    if result.interval is not None:
+        head = (*head, f"within the 95{NEAR}% interval")
+        within = {name: percent(one.within) for name, one in result.interval.by_run.items()}
+        rows = [(*row, within.get(row[0], "–")) for row in rows]
+    return _cut(PageTable("Root mean square, run by run, worst first.", head, rows))
 
 
 def data(result: Result) -> PageTable:
@@ -267,6 +272,10 @@ def settings(result: Result) -> PageTable:
     trained = result.bundle.manifest.training
     record = result.bundle.manifest.network
     rows = flat(trained.get("settings", {}))
+    choice = None if result.making is None else result.making.choice
+    if choice is not None and choice.left is not None and choice.left_before is not None:
+        left = f"{percent(choice.left)} left of runs left out, {percent(choice.left_before)} with the sizes given"
+        rows.append(("sizes and penalty", f"chosen: {left}"))
     if record is not None:
         rows.append(("settling time (measured)", duration(record.settling_time_s)))
         rows.append(("modes", str(record.modes)))

@@ -1,6 +1,6 @@
 """How often the tip lies within the 95 % interval of the prediction, on data that the network has not seen.
 
-    python bench/coverage.py DATASET ...
+    python bench/interval_coverage.py DATASET ...
 
 Leaves out each duty cycle of a data set of several runs in turn (the part of the run's name behind the first `_`), or
 of names without one each of N groups of runs, or each spindle phase of a single run. The network has its linear

@@ -1,0 +1,1 @@
+"""Models of the machines served: uploaded, verified, kept, activated, rolled back."""

@@ -1,0 +1,1 @@
+"""What survives a restart: telemetry, snapshots, models, measurements, keys and the audit trail, in one database."""

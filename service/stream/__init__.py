@@ -1,0 +1,1 @@
+"""Streams for control loops: one WebSocket, positions in, corrections out."""
