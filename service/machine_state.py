@@ -159,9 +159,8 @@ class MachineState:
         if failed := len(taken) - accepted:
             why = self.thermal.failure or "a later one was"
             warnings.append(f"{failed} of {len(samples)} samples were not used: {why}")
-        if self.recorder is not None:
-            self.recorder.samples(taken, late)
-        return Receipt(accepted, len(samples) - accepted, warnings)
+        recorded = self.recorder is None or self.recorder.samples(taken, late)
+        return Receipt(accepted, len(samples) - accepted, warnings, recorded)
 
     def snapshot(self, *, last: bool = False) -> Snapshot:
         """Return all that another process needs to go on from here; `last` where nothing is served after it."""

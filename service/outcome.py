@@ -41,11 +41,17 @@ class Outlook:
 
 @dataclass(frozen=True)
 class Receipt:
-    """What became of telemetry samples."""
+    """What became of telemetry samples.
+
+    Attributes
+    ----------
+    recorded : whether all of them wait to be stored, or are; otherwise they have to be sent again
+    """
 
     accepted: int
     ignored: int
     warnings: list[str]
+    recorded: bool = True
 
 
 @dataclass(frozen=True)

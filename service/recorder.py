@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 import time
+from array import array
+from bisect import bisect_left, insort
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -20,13 +23,19 @@ from service.store.journal import Insert
 from service.store.store import Store
 from service.store.tables import snapshots, telemetry
 from service.thermal import Zero
+from service.timestamps import format_time
 
 if TYPE_CHECKING:
     from service.machine_state import MachineState
 
+log = logging.getLogger(__name__)
+
 MOVED_UM = 0.5
 """How far a correction may have moved since the snapshot [µm]. It is looked at as often as the rate limit lets it
 move so far, so a process that is killed forgets at most twice as much."""
+
+MOST_MISSING = 100_000
+"""Times of samples of one machine that are remembered for when they come again, of 8 bytes each."""
 
 
 class Recorder:
@@ -41,30 +50,33 @@ class Recorder:
 
     def __init__(self, machine: str, store: Store, every_s: float) -> None:
         self.machine, self.store, self.every_s = machine, store, every_s
-        self.missing: tuple[float, float] | None = None
+        self._missing = array("d")  # times of samples, rising
         self._kept = _Contents(None, None, None, None, 0.0)
         self._kept_s = self._looked_s = -math.inf
 
-    def samples(self, taken: Sequence[Sample], late: Sequence[Sample]) -> None:
-        """Record samples that the thermal state took, whether it could use them or not.
+    def samples(self, taken: Sequence[Sample], late: Sequence[Sample]) -> bool:
+        """Record samples that the thermal state took, whether it could use them or not; return whether all are queued.
 
         Where so many wait for the database that no more are queued, they are remembered as missing, and recorded when
-        they come again: their sender got an error.
+        they come again: their sender must get an error.
 
         Parameters
         ----------
         late : samples of no use since the state is newer
         """
+        again = [s for s in late if self._is_missing(s.time)] if self._missing else []
+        if not taken and not again:
+            return True
         journal = self.store.journal
         if journal.full:
-            self._miss(taken)
-            return
-        if self.missing is not None:
-            first_s, last_s = self.missing
-            taken = [*taken, *(s for s in late if first_s <= s.time <= last_s)]
-        if taken:
-            received_s = time.time()
-            journal.add(Insert(telemetry, [_row(self.machine, s, received_s) for s in taken]))
+            for one in taken:
+                self._miss(one.time)
+            return False
+        for one in again:
+            self._missing.pop(bisect_left(self._missing, one.time))
+        received_s = time.time()
+        journal.add(Insert(telemetry, [_row(self.machine, s, received_s) for s in (*taken, *again)]))
+        return True
 
     def served(self, state: MachineState) -> None:
         """Take a snapshot where what is served has moved away from the last one."""
@@ -96,10 +108,15 @@ class Recorder:
         save = _Save(self.machine, state.snapshot(last=last), state.clock())
         self.store.journal.write_latest(("snapshot", self.machine), save)
 
-    def _miss(self, samples: Sequence[Sample]) -> None:
-        times = [s.time for s in samples] + list(self.missing or ())
-        if times:
-            self.missing = min(times), max(times)
+    def _is_missing(self, time_s: float) -> bool:
+        at = bisect_left(self._missing, time_s)
+        return at < len(self._missing) and self._missing[at] == time_s
+
+    def _miss(self, time_s: float) -> None:
+        if not self._is_missing(time_s):
+            insort(self._missing, time_s)
+        if len(self._missing) > MOST_MISSING:
+            log.error("sample not stored", extra={"machine": self.machine, "sample": format_time(self._missing.pop(0))})
 
 
 @dataclass(frozen=True)

@@ -206,23 +206,22 @@ def test_a_power_loss_in_the_middle_of_a_movement_costs_a_micrometre_at_most(
         assert np.abs(served_um(restarted) - before).max() <= 1.0
 
 
-@pytest.mark.parametrize("on_its_way_um", [0.0, 0.4, 20.0])
-def test_a_kill_long_after_the_last_snapshot_makes_no_jump(tmp_path: Path, on_its_way_um: float) -> None:
+@pytest.mark.parametrize("warmer_K", [0.0, 0.05, 2.0])
+def test_a_kill_long_after_the_last_snapshot_makes_no_jump(tmp_path: Path, warmer_K: float) -> None:
     """The same map may have been served for long after its snapshot: that time is used up, and counts for no way."""
     clock = [NOON]
     path = tmp_path / "t.db"
     with running(path, clock) as alive:
-        alive.warm(20.0, end=NOON - 60.0)
+        alive.warm(20.0, end=NOON - 7200.0)
         served_um(alive)
-        clock[0] += 60.0
-        alive.telemetry(sample(clock[0], 20.0 + on_its_way_um / 20.0))
-        for _ in range(5):  # first on its way, and then there
+        alive.telemetry(*(sample(NOON - 7200.0 + 300.0 * n, 20.0 + warmer_K) for n in range(1, 12)))
+        for _ in range(40):  # first on its way, and then there
             clock[0] += 0.6
             served_um(alive)
         for _ in range(28):  # as long as until the next snapshot is due
             clock[0] += 1.0
             before = served_um(alive)
-        alive.telemetry(sample(clock[0], 24.0))
+        alive.telemetry(*(sample(NOON - 3600.0 + 300.0 * n, 20.0 + n) for n in range(1, 13)))
         killed = as_killed(path, alive)
         clock[0] += 1.0
         with running(killed, clock) as restarted:

@@ -124,7 +124,7 @@ TIP = ("dx_um", "dy_um", "dz_um")
         ),
         (
             [("error_terms", scaled("value", 1e3)), ("tool_tip", all_scaled(TIP, 1e3))],
-            r"data set '.*': error_terms and tool_tip must be in µm and µrad, got .* per kelvin at most, .* convert nm,",
+            r"data set '.*': error_terms and tool_tip must be in µm and µrad, got .* per kelvin .* convert nm,",
         ),
         (
             [("error_terms", scaled("value", 1e-3, run="r1")), ("tool_tip", all_scaled(TIP, 1e-3, run="r1"))],

@@ -9,6 +9,7 @@ from service.routes.dependencies import NamedMachine, check_samples, header
 from service.schemas import TelemetryReply, TelemetryRequest
 from service.store.journal import DURABLE_S
 from service.store.store import Store
+from service.store.unavailable import StorageUnavailable
 
 router = APIRouter(prefix="/v1", tags=["telemetry"])
 
@@ -36,4 +37,6 @@ async def take_telemetry(machine: NamedMachine, request: TelemetryRequest, http:
     store: Store = http.app.state.store
     # Ignored ones, too: they may have come before and still wait to be written.
     await store.journal.durable(DURABLE_S)
+    if not receipt.recorded:
+        raise StorageUnavailable("and too many rows waited for it, so these samples were not queued")
     return reply
