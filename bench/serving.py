@@ -1,6 +1,6 @@
 """How fast the service answers, and how much it takes: `python bench/serving.py [SECTION ...]`, all without one.
 
-Each section prints what the issue of the service asks for. Client and server share the computer's cores, so every
+Client and server share the computer's cores, so every
 figure has the client's own work in it; ratios are of servers that are asked in turns in one run.
 """
 
@@ -9,12 +9,13 @@ from __future__ import annotations
 import http.client
 import json
 import statistics
+import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -75,23 +76,46 @@ def load(folder: Path) -> None:
         names = [bundle.name for bundle in bundles]
         for name in names:
             _warm(server, name)
-        stop, sent = threading.Event(), [0]
-        sender = threading.Thread(target=_send_telemetry, args=(server, names, stop, sent))
-        sender.start()
-        time.sleep(2.0)
         asked = Connection(server)
         requests = [asked.post(f"/v1/machines/{name}/compensate", {"positions": [POSITION_OF]}) for name in names]
-        times, began_s, before = [], time.perf_counter(), sent[0]
-        while time.perf_counter() - began_s < LOAD_S:
-            times += asked.time_s(requests[len(times) % len(names)], 1)
-            time.sleep(max(0.0, began_s + len(times) / ASKED_HZ - time.perf_counter()))
-        rate = (sent[0] - before) / (time.perf_counter() - began_s)
-        stop.set()
-        sender.join()
+        with _gateways(server, names) as counts:
+            time.sleep(2.0)
+            times, began_s, before = [], time.perf_counter(), len(counts)
+            while time.perf_counter() - began_s < LOAD_S:
+                times += asked.time_s(requests[len(times) % len(names)], 1)
+                time.sleep(max(0.0, began_s + len(times) / ASKED_HZ - time.perf_counter()))
+            rate = (counts[-1] - counts[before - 1]) / (len(counts) - before)
     print(
         f"load: {MACHINES} machines, {rate:.0f} samples a second of {MACHINES * TELEMETRY_HZ}: compensate takes "
         f"{_ms(times)}"
     )
+
+
+@contextmanager
+def _gateways(server: Server, names: list[str]) -> Iterator[list[int]]:
+    """Send telemetry of machines from a process of its own; gives how many samples were stored, after each second."""
+    orders = {
+        "port": server.port,
+        "headers": server.headers,
+        "hz": TELEMETRY_HZ,
+        "machines": names,
+        "temperatures": _sample(time.time())["temperatures"],
+    }
+    command = [sys.executable, str(Path(__file__).with_name("serving_telemetry.py"))]
+    counts: list[int] = []
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write(json.dumps(orders) + "\n")
+        process.stdin.flush()
+        lines = process.stdout
+        reader = threading.Thread(target=lambda: counts.extend(int(line) for line in lines))
+        reader.start()
+        try:
+            yield counts
+        finally:
+            process.terminate()
+            reader.join()
 
 
 def _send_telemetry(server: Server, names: list[str], stop: threading.Event, sent: list[int]) -> None:

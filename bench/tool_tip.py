@@ -25,6 +25,7 @@ from data_synth.machines import open_shop
 from model.sensors import SensorModel
 from model.tables import read_table, write_table
 from model.transforms import Array
+from training.choice import choose
 from training.dataset import DataSet, MeasuredRun, load_dataset
 from training.evaluation import column_basis
 from training.split import Split
@@ -116,7 +117,8 @@ def main() -> None:
             sensors = SensorModel.fit(
                 np.concatenate([dataset.runs[name].telemetry.temperatures for name in split.train_runs])
             )
-            training = train_network(dataset, split, tip_metric(dataset), sensors, Settings())
+            settings = choose(dataset, split, tip_metric(dataset), sensors, Settings()).settings
+            training = train_network(dataset, split, tip_metric(dataset), sensors, settings)
             took[i] += time.perf_counter() - start
             basis = column_basis(training.fields, truth.columns)
             for name in out:

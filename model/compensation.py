@@ -132,25 +132,34 @@ class Compensator:
         results = np.empty(n * (axes + 5))
         ends = n * axes, n * (axes + 1), n * (axes + 2)
         residual = results[ends[0] : ends[1]]
+        if n <= SHARE:
+            self._solve(q, 0, n, results)
+        else:
+            self._solve_in_shares(q, results, threads or os.cpu_count() or 1)
+        self._check(q, residual)
+        corrected, deviation = results[: ends[0]].reshape(n, axes), results[ends[2] :].reshape(n, 3)
+        return Compensation(corrected, residual, results[ends[1] : ends[2]], deviation, self._low, self._high)
+
+    def _solve_in_shares(self, q: Array, results: Array, threads: int) -> None:
+        starts = range(0, len(q), SHARE)
 
         def work(start: int) -> None:
-            stop = min(start + SHARE, n)
-            if not np.logical_and.reduce(np.isfinite(q[start:stop]), axis=None):
-                row = start + int(np.argmin(np.isfinite(q[start:stop]).all(axis=1)))
-                raise DataError(f"coordinates must be finite numbers, got others in row {row + 1}")
-            self._plan.solve(q, start, stop, results)
+            self._solve(q, start, min(start + SHARE, len(q)), results)
 
-        starts = range(0, n, SHARE)
-        workers = min(threads or os.cpu_count() or 1, len(starts)) if len(starts) > 1 else 1
+        workers = min(threads, len(starts))
         if workers > 1:
             with ThreadPoolExecutor(workers) as pool:
                 list(pool.map(work, starts))
         else:
             for start in starts:
                 work(start)
-        self._check(q, residual)
-        corrected, deviation = results[: ends[0]].reshape(n, axes), results[ends[2] :].reshape(n, 3)
-        return Compensation(corrected, residual, results[ends[1] : ends[2]], deviation, self._low, self._high)
+
+    def _solve(self, q: Array, start: int, stop: int, results: Array) -> None:
+        if not np.logical_and.reduce(np.isfinite(q[start:stop]), axis=None):
+            row = start + int(np.argmin(np.isfinite(q[start:stop]).all(axis=1)))
+            raise DataError(f"coordinates must be finite numbers, got others in row {row + 1}")
+        if stop > start:
+            self._plan.solve(q, start, stop, results)
 
     def _check(self, q: Array, residual: Array) -> None:
         """Raise where the linear axes reach every direction, and yet the tip is not in its place."""

@@ -6,6 +6,7 @@ processor, compiles it: at installation or when a program starts, never when a p
 
 from __future__ import annotations
 
+import ctypes
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,8 @@ def address(array: Array, dtype: type[np.generic], *shape: int) -> int:
     """
     if array.dtype != dtype or array.shape != shape or not array.flags.c_contiguous or not array.flags.aligned:
         raise TypeError(f"the compiled path needs {dtype.__name__} of shape {shape}, got {array.dtype} {array.shape}")
+    if array.flags.writeable and array.size:  # in a fifth of the time
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]
     return int(array.__array_interface__["data"][0])
 
 

@@ -223,17 +223,15 @@ class Predictor:
         record = self._lost_record
         if self._replacement is None or record is None:
             return None
-        start, predicted = None, state.coefficients
+        start = None
         if self.datum == "run-start":
             inputs = np.concatenate([state.first, np.zeros(len(self.channels))])
-            start, zero = self._run(inputs, inputs, np.zeros(self._modes), 0.0, fresh=True)
-            predicted = predicted - zero
+            start, _ = self._run(inputs, inputs, np.zeros(self._modes), 0.0, fresh=True)
         beyond = 0.0
         if self.uncertainty is not None and self.uncertainty.largest_size is not None:
             size = float(self.uncertainty.size(state.modes, start))
             beyond = beyond_um(size, self.uncertainty.largest_size, self.uncertainty.directions, self._form)
-        predicted_um = tip_rms_um(predicted[None], self._form)
-        return Missed(record.drift_um, predicted_um, self._replacement.missed_um(state.doubt), beyond)
+        return Missed(record.drift_um, self._replacement.missed_um(state.doubt), beyond)
 
     def error_map(self, state: ThermalState) -> ErrorMap:
         """Return the thermal part of the error terms."""

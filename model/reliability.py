@@ -24,13 +24,11 @@ class Missed:
     Attributes
     ----------
     drift_um : the tip's drift in training
-    predicted_um : the present prediction
     lost_um : of the estimates of lost sensors
     beyond_um : of a thermal state unlike those of the training
     """
 
     drift_um: float
-    predicted_um: float
     lost_um: float
     beyond_um: float
 
@@ -47,7 +45,9 @@ class Missed:
     @property
     def of_state(self) -> float:
         """Return what the thermal state leaves of it."""
-        return shrunk(max(self.drift_um, self.predicted_um), self.beyond_um)
+        # By the drift that training had, and not by the one predicted: far outside, that grows with the state as its
+        # error does, and would vouch for itself.
+        return shrunk(self.drift_um, self.beyond_um)
 
 
 def explained(drift_um: float, missed_um: float) -> float:

@@ -9,6 +9,8 @@ from typing import Any
 
 _MAY_BE_LARGE = re.compile(rb"[eE]\+?[0-9]{3}|[0-9]{200}")
 """An exponent of three digits, or so many digits that one of two is enough."""
+_MAY_BE_HALF = re.compile(rb"\\u[dD][89a-fA-F]")
+"""A character written as two escapes, of which one may be missing."""
 
 
 def strict_json(raw: bytes) -> Any:
@@ -17,20 +19,32 @@ def strict_json(raw: bytes) -> Any:
     Raises
     ------
     ValueError
-        where it is not JSON, has a key twice, a number that no double holds, or is nested too deeply to be read.
+        where it is not JSON, has a key twice, a number that no double holds, half a character, or is nested too deeply
+        to be read.
     """
     # Few have a number that could be too large for a double, and to look at each takes longer than to read it.
     parse_float = _float if _MAY_BE_LARGE.search(raw) else None
     try:
-        return json.loads(
+        found = json.loads(
             raw.decode("utf-8"),
             object_pairs_hook=_object,
             parse_constant=_constant,
             parse_float=parse_float,
             parse_int=_int,
         )
+        if _MAY_BE_HALF.search(raw):
+            _check_characters(found)
+        return found
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
+
+
+def _check_characters(found: Any) -> None:
+    """Refuse half a surrogate pair, which Python reads and nobody can write as UTF-8."""
+    try:
+        json.dumps(found, ensure_ascii=False).encode()
+    except UnicodeEncodeError:
+        raise ValueError("characters must be whole, got half a surrogate pair") from None
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from importlib.metadata import version
 from typing import Any
@@ -55,7 +55,9 @@ from service.stream.streams import Streams
 log = logging.getLogger(__name__)
 
 STORED_WITHIN_S = 30.0
-"""How long a start waits until the bundles of its command line are stored [s]; it takes milliseconds for each, once."""
+"""How long a start waits until the bundles of its command line are known to the database [s]: a millisecond each."""
+FILES_WITHIN_S = 1.0
+"""How long it waits for their files, which take ten times as long, once [s]: those of many machines follow later."""
 
 DESCRIPTION = """\
 Every error is an RFC 9457 problem. Every answer carries an `X-Request-ID`: the client's, where it sent one of up to 128
@@ -111,19 +113,23 @@ def create_app(
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        await asyncio.to_thread(_restore, states, opened)
         for name, state in states.items():
-            await asyncio.to_thread(restore, state, opened.engine)
-            await asyncio.to_thread(rows.load_into, state, opened.engine)
             state.recorder = Recorder(name, opened, settings.snapshot_every_s)
         app.state.machines = states
         opened.journal.write(audit.record("service", "service started", None, {"machines": sorted(states)}))
-        while start.operations:  # and forget them: they hold whole bundles
-            opened.journal.write(start.operations.pop(0))
+        for operation in start.operations:
+            opened.journal.add(operation)
         with suppress(StorageUnavailable):  # before telemetry comes, which would have to wait for it; /readyz tells
             await opened.journal.durable(STORED_WITHIN_S)
+        storing = asyncio.create_task(start.store(opened.journal))  # what is left of it is stored at the next start
+        await asyncio.wait([storing], timeout=FILES_WITHIN_S)
         log.info("serving", extra={"machines": sorted(states), "database": opened.name, "new": opened.new})
         async with refreshed(app.state.key_ring), kept(states, opened, settings, clock):
             yield
+        storing.cancel()
+        with suppress(asyncio.CancelledError):
+            await storing
         app.state.machines = None
         opened.journal.write(audit.record("service", "service stopped", None))
         if store is None:
@@ -172,6 +178,13 @@ def create_app(
     ):
         app.include_router(module.router)
     return app
+
+
+def _restore(states: Mapping[str, MachineState], store: Store) -> None:
+    """Bring machines back to where they were; in a thread."""
+    for state in states.values():
+        restore(state, store.engine)
+        rows.load_into(state, store.engine)
 
 
 def _check_names(bundles: Sequence[Bundle]) -> None:

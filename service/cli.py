@@ -23,6 +23,7 @@ def serve(bundles: tuple[Path, ...], config: Path | None, **options: Any) -> Non
     in PATH, as THERMOTRUE_BUNDLES; or in a TOML file. Options come first, then the environment; `thermotrue settings`
     shows what holds.
     """
+    import gc
     import logging
     import os
     import signal
@@ -63,7 +64,13 @@ def serve(bundles: tuple[Path, ...], config: Path | None, **options: Any) -> Non
             make_key=_make_key(config, options) if required else None,
             open_to_all=not required and not is_loopback(settings.host),
         )
-        run(app, listener, settings, ready=lambda: click.echo(text))
+
+        def ready() -> None:
+            gc.collect()
+            gc.freeze()  # what is there now stays, and need not be looked through again and again
+            click.echo(text)
+
+        run(app, listener, settings, ready=ready)
 
 
 def _make_key(config: Path | None, options: dict[str, Any]) -> str:

@@ -48,7 +48,6 @@ class Snapshot:
         """Return what there is to tell of a machine now; it serves nothing and changes nothing."""
         outlook = state.outlook(state.now())
         thermal, served = state.thermal, state.served
-        newest = None if thermal is None else thermal.state
         heard = thermal is not None and bool(thermal.tracks or thermal.faults)
         return cls(
             machine=state.machine.name,
@@ -56,7 +55,7 @@ class Snapshot:
             reliability=outlook.target.weight,
             correction_um=state.largest_correction_um(),
             remaining_um=None if served is None else served.remaining_um,
-            telemetry_age_s=None if newest is None else max(outlook.now_s - newest.time_s, 0.0),
+            telemetry_age_s=state.telemetry_age_s(outlook.now_s),
             map_age_s=None if served is None else max(state.passes(outlook.now_s) - served.time_s, 0.0),
             sensors={n: n not in thermal.faults for n in thermal.sensors} if thermal is not None and heard else {},
             drift=state.monitor.drift(state.bundle.version),

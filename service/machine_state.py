@@ -33,7 +33,7 @@ from service.snapshot import Snapshot
 from service.solver import Solved, Solver, Solvers
 from service.status import Condition, Status, most_serious
 from service.survey import Survey
-from service.thermal import Thermal, Zero
+from service.thermal import MAX_AHEAD_S, Thermal, Zero
 from service.uncertainty import Interval, unapplied_um
 
 log = logging.getLogger(__name__)
@@ -56,7 +56,7 @@ class MachineState:
         one whose rate of correction cannot be bounded yet.
     """
 
-    KEPT = ("served", "counts", "watchers", "recorder", "monitor", "_reach", "_status")
+    KEPT = ("served", "counts", "watchers", "recorder", "monitor", "_reach", "_status", "_came_s")
     """What belongs to the machine and not to its bundle: `adopt` keeps it."""
 
     def __init__(
@@ -83,6 +83,7 @@ class MachineState:
         self._solvers = Solvers(self.chain)
         self._target = Target(bundle.geometry, None, 0.0)
         self._status = Status.OK
+        self._came_s: float | None = None  # when telemetry came last, on the steady clock; None before it did
 
     def now(self, time_s: float | None = None) -> float:
         """Return the machine's clock: the service's, since clients' clocks are often wrong.
@@ -151,6 +152,8 @@ class MachineState:
             found |= {f"channel '{n}'": why for n, why in self.thermal.held.items()}
             faults.update(found.keys())
             reasons |= found
+        if accepted:
+            self._came_s = self.steady()
         warnings = [f"{n} {reasons[n]}" + (f" ({c} samples)" if c > 1 else "") for n, c in faults.items()]
         if late:
             warnings.append(
@@ -196,7 +199,7 @@ class MachineState:
         """Return what is predicted for a moment."""
         if self.thermal is None:
             return Outlook(now_s, self._target, (Condition(Status.GEOMETRIC_ONLY, None),))
-        weight, conditions = self.thermal.outlook(now_s, self.settings)
+        weight, conditions = self.thermal.outlook(now_s, self.settings, self.telemetry_age_s(now_s))
         thermal = self.thermal.error_map()
         if thermal is not self._target.thermal or weight != self._target.weight:
             self._target = Target(self.bundle.geometry, thermal, weight)
@@ -205,6 +208,28 @@ class MachineState:
             conditions.append(Condition(Status.DEGRADED, sentence))
         conditions += self.monitor.conditions(self.bundle.version)
         return Outlook(now_s, self._target, tuple(conditions))
+
+    def status(self, now_s: float) -> Status:
+        """Return the status at a moment, without the error map: telemetry comes often and asks for no more."""
+        if self.thermal is None:
+            return Status.GEOMETRIC_ONLY
+        _, conditions = self.thermal.outlook(now_s, self.settings, self.telemetry_age_s(now_s))
+        return most_serious([*conditions, *self.monitor.conditions(self.bundle.version)])
+
+    def telemetry_age_s(self, now_s: float) -> float | None:
+        """Return how old the newest telemetry is; None before the first.
+
+        By its own time, or since it came where that is longer: a clock that is set back makes nothing young.
+        """
+        if self.thermal is None or self.thermal.state is None:
+            return None
+        age_s = now_s - self.thermal.state.time_s
+        if self.settings.replay:
+            return max(age_s, 0.0)
+        if self._came_s is None:  # before a restart; nobody knows when, where its time has not come yet
+            unknown_s = self.settings.stale_after_s + self.settings.stale_fade_s
+            self._came_s = self.steady() - (unknown_s if age_s < -MAX_AHEAD_S else 0.0)
+        return max(age_s, self.steady() - self._came_s)
 
     def past(self) -> Past:
         """Return the present prediction, for the time when it is past; there must be one."""
@@ -242,9 +267,9 @@ class MachineState:
         self._serve(served)
         self.counts.positions += len(q)
         conditions = outlook.conditions + self._on_the_way(served) + self._bounded(solved)
-        self._tell(most_serious(conditions))
-        limited = solved.clipped if served.arrived else np.ones(len(q), dtype=np.bool_)
         at = Outlook(self.now(now_s), outlook.target, conditions)
+        self._tell(at.status)
+        limited = solved.clipped if served.arrived else np.ones(len(q), dtype=np.bool_)
         return Correction(
             at,
             solved.corrected,
@@ -332,6 +357,8 @@ class MachineState:
 
     def _bounded(self, solved: Solved) -> tuple[Condition, ...]:
         """Return what the absolute limit did, and corrected coordinates that leave their axis' range."""
+        if len(solved.clipped) == 1 and self._stays(solved):
+            return ()
         low, high = self.machine.axis_ends
         leaves = (solved.corrected < low) | (solved.corrected > high)
         if not (np.logical_or.reduce(leaves, axis=None) or np.logical_or.reduce(solved.clipped)):
@@ -349,6 +376,16 @@ class MachineState:
                     f"{leaving} corrected positions leave the range {axis.low:g} ... {axis.high:g} mm of axis '{name}'"
                 )
         return tuple(Condition(Status.OK, s) for s in sentences)
+
+    def _stays(self, solved: Solved) -> bool:
+        """Return whether a single position is not clipped, and stays within the axes' ranges: nearly always."""
+        corrected = zip(solved.corrected[0].tolist(), self._ranges, strict=True)
+        return not solved.clipped[0] and all(low <= value <= high for value, (low, high) in corrected)
+
+    @cached_property
+    def _ranges(self) -> list[tuple[float, float]]:
+        axes = [self.machine.axes[name] for name in self.machine.axis_names]
+        return [(axis.low, axis.high) for axis in axes]
 
     def _tell(self, status: Status) -> None:
         if status != self._status:

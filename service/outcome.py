@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ class Outlook:
     target: Target
     conditions: tuple[Condition, ...]
 
-    @property
+    @cached_property
     def status(self) -> Status:
         """The most serious condition."""
         return most_serious(self.conditions)

@@ -11,6 +11,10 @@ from model.chain import Chain
 from model.error_map import ErrorMap
 from model.transforms import Array
 
+MOST_KINDS = 64
+"""Kinds of machines whose gains are kept: a hall has many machines of few."""
+_gains: dict[tuple[str, str], Array] = {}
+
 
 @dataclass(frozen=True)
 class Reach:
@@ -34,7 +38,13 @@ class Reach:
     @classmethod
     def of(cls, chain: Chain) -> Reach:
         """Return the reach with the machine's own tool."""
-        return cls(chain, _gain(chain, None))
+        kind = chain.machine.kind, chain.tool
+        gain = _gains.get(kind)
+        if gain is None:
+            if len(_gains) >= MOST_KINDS:
+                _gains.clear()
+            gain = _gains[kind] = _gain(chain, None)
+        return cls(chain, gain)
 
     def including(self, tool_length_mm: float | None) -> Reach:
         """Return the reach that holds for a tool of that length, too; None is the machine's own."""

@@ -64,7 +64,7 @@ class Recorder:
         ----------
         late : samples of no use since the state is newer
         """
-        again = [s for s in late if self._is_missing(s.time)] if self._missing else []
+        again = {s.time: s for s in late if self._is_missing(s.time)} if self._missing else {}
         if not taken and not again:
             return True
         journal = self.store.journal
@@ -72,10 +72,10 @@ class Recorder:
             for one in taken:
                 self._miss(one.time)
             return False
-        for one in again:
-            self._missing.pop(bisect_left(self._missing, one.time))
+        for time_s in again:
+            self._missing.pop(bisect_left(self._missing, time_s))
         received_s = time.time()
-        journal.add(Insert(telemetry, [_row(self.machine, s, received_s) for s in (*taken, *again)]))
+        journal.add(Insert(telemetry, [_row(self.machine, s, received_s) for s in (*taken, *again.values())]))
         return True
 
     def served(self, state: MachineState) -> None:

@@ -31,6 +31,8 @@ MAX_TURN_RAD = 0.01
 """Largest sum of angular terms [rad], ten times that of a bad machine."""
 LARGEST_TERM = 1000.0
 """Beyond this no term is believed at all [mm, rad]: a metre, or a turn of the whole machine."""
+FEW = 4
+"""Positions up to which plain Python is faster than arrays."""
 ARRIVED_UM = 0.0005
 """Distance from the target that does not count [µm]: half of the 1 nm that compensation promises."""
 
@@ -138,8 +140,15 @@ def bounded(errors: ErrorMap, limits: Limits, reach: Reach) -> ErrorMap:
 def clip(correction_mm: Array, limits: Limits) -> tuple[Array, NDArray[np.bool_]]:
     """Return each axis' correction within the absolute limit, and which points, shape (n,), were clipped."""
     most = limits.max_correction_um * UM
+    if len(correction_mm) <= FEW and within(correction_mm, most):
+        return correction_mm, np.zeros(len(correction_mm), dtype=np.bool_)
     beyond = np.logical_or.reduce(np.abs(correction_mm) > most, axis=1)
     return np.minimum(np.maximum(correction_mm, -most), most), beyond  # as np.clip, in a third of its time
+
+
+def within(values: Array, most: float) -> bool:
+    """Return whether a few rows of numbers, of shape (n, A), all lie within ±most; NaN does not."""
+    return all(-most <= value <= most for row in values.tolist() for value in row)
 
 
 def is_usable(errors: ErrorMap) -> bool:

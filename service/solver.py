@@ -5,6 +5,7 @@ A solver looks at nothing that changes, so a thread may work with it while the l
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from model.error_map import ErrorMap
 from model.exceptions import ComputeError, DataError
 from model.machine import Limits
 from model.transforms import Array
-from service.safety import clip
+from service.safety import FEW, clip
 
 MOST_KEPT = 256
 """Error maps made ready, of all machines together, each of some 0.2 MB. Making one ready takes a millisecond, so that a
@@ -73,14 +74,16 @@ class Solver:
         found = self.served.compensate(q, threads)
         correction, clipped = clip(found.corrected - q, self.limits)
         deviation = found.deviation_mm if self.predicted is None else self.predicted(q)
-        # The largest is not a number where one is not.
-        if not (_largest(correction) < np.inf and _largest(deviation) < np.inf):
+        if not (_finite(correction) and _finite(deviation)):
             raise ComputeError("corrections must be finite numbers, got others; nothing was served")
         return Solved(q + correction, correction, deviation, clipped)
 
 
-def _largest(values: Array) -> float:
-    return float(np.maximum.reduce(np.abs(values), axis=None, initial=0.0))
+def _finite(values: Array) -> bool:
+    if len(values) <= FEW:
+        return all(math.isfinite(value) for row in values.tolist() for value in row)
+    # The largest is not a number where one is not.
+    return float(np.maximum.reduce(np.abs(values), axis=None, initial=0.0)) < np.inf
 
 
 _kept: OrderedDict[tuple[Solvers, float | None, tuple[str, ...]], tuple[ErrorMap, Compensator]] = OrderedDict()

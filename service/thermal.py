@@ -30,6 +30,9 @@ from service.uncertainty import relative_spread
 
 log = logging.getLogger(__name__)
 
+MAX_AHEAD_S = 60.0
+"""How far a time may be ahead of the service's clock [s]: two clocks that somebody sets differ by less, and one sample
+of a wrong hour would make all later ones too old."""
 HOLD_S = 600.0
 """How long a channel that is no longer given keeps its last value [s]: a few lost samples (chosen)."""
 PLAUSIBLE_CHANNEL = 2.0
@@ -103,6 +106,7 @@ class Thermal:
         self._relative: ErrorMap | None = None
         self._spread: tuple[ThermalState, Zero, float | None] | None = None
         self._missed: tuple[ThermalState, Missed | None] | None = None
+        self._told: tuple[tuple[object, ...], list[Condition]] | None = None
         self._excursed: tuple[ThermalState, float, list[Condition]] | None = None
 
     def take(self, sample: Sample) -> bool:
@@ -246,15 +250,28 @@ class Thermal:
             return None
         return Zero(kind, self._map(self.state), self.state.time_s, self.state.modes)
 
-    def outlook(self, now_s: float, settings: Settings) -> tuple[float, list[Condition]]:
-        """Return the weight of the thermal part, 0 ... 1, and every reason not to trust it fully."""
+    def outlook(self, now_s: float, settings: Settings, age_s: float | None = None) -> tuple[float, list[Condition]]:
+        """Return the weight of the thermal part, 0 ... 1, and every reason not to trust it fully.
+
+        Parameters
+        ----------
+        age_s : of the newest telemetry; None is by its own time alone
+        """
         if self.state is None:
             missing = "no telemetry has come yet, so only geometric errors are corrected; post telemetry"
             return 0.0, [Condition(Status.GEOMETRIC_ONLY, missing), *self._failed()]
-        age_s = max(now_s - self.state.time_s, 0.0)
+        age_s = max(now_s - self.state.time_s, 0.0) if age_s is None else age_s
         weight = freshness_weight(age_s, settings.stale_after_s, settings.stale_fade_s)
         conditions: list[Condition] = []
-        if weight < 1.0:
+        if not settings.replay and self.state.time_s > now_s + MAX_AHEAD_S:
+            conditions.append(
+                Condition(
+                    Status.STALE,
+                    f"the newest telemetry is of {format_time(self.state.time_s)}, which has not come yet: a clock was "
+                    f"set back, and all samples until then are ignored; the thermal part counts {weight:.0%}",
+                )
+            )
+        elif weight < 1.0:
             conditions.append(
                 Condition(
                     Status.STALE,
@@ -328,12 +345,17 @@ class Thermal:
 
     def _replaced(self) -> list[Condition]:
         assert self.state is not None
+        of = self.state, self.faults, self.held
+        if self._told is not None and all(a is b for a, b in zip(self._told[0], of, strict=True)):
+            return self._told[1]
         values = dict(zip(self.sensors, self.state.inputs, strict=False))
         conditions = [
             Condition(Status.DEGRADED, f"sensor '{n}' {fault}; replaced by its estimate {values[n]:.1f} °C")
             for n, fault in self.faults.items()
         ]
-        return conditions + [Condition(Status.DEGRADED, f"channel '{name}' {why}") for name, why in self.held.items()]
+        conditions += [Condition(Status.DEGRADED, f"channel '{name}' {why}") for name, why in self.held.items()]
+        self._told = of, conditions
+        return conditions
 
     def _failed(self) -> list[Condition]:
         if self.failure is None:

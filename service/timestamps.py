@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Annotated
 
@@ -38,10 +39,8 @@ def parse_time(value: object) -> float:
 def parse_query_time(value: object) -> float:
     """Return epoch seconds of a time in a query, where numbers come as text, too."""
     if isinstance(value, str):
-        try:
-            return parse_time(float(value))
-        except ValueError:
-            return parse_time(value)
+        with suppress(ValueError):
+            value = float(value)
     return parse_time(value)
 
 

@@ -30,18 +30,18 @@ errors = true
 """
 
 
-@given(UM, UM, UM, UM, UM, UM)
+@given(UM, UM, UM, UM, UM)
 def test_it_is_between_0_and_1_and_never_grows_with_what_is_missed(
-    drift: float, predicted: float, lost: float, beyond: float, more_lost: float, more_beyond: float
+    drift: float, lost: float, beyond: float, more_lost: float, more_beyond: float
 ) -> None:
-    less = Missed(drift, predicted, lost, beyond).reliability
-    more = Missed(drift, predicted, lost + more_lost, beyond + more_beyond).reliability
+    less = Missed(drift, lost, beyond).reliability
+    more = Missed(drift, lost + more_lost, beyond + more_beyond).reliability
     assert 0.0 <= more <= less <= 1.0
 
 
 def test_with_nothing_missed_it_is_1_and_with_numbers_that_are_none_0() -> None:
-    assert Missed(0.0, 0.0, 0.0, 0.0).reliability == 1.0
-    assert Missed(10.0, 0.0, 10.0, 0.0).reliability == 0.0
+    assert Missed(0.0, 0.0, 0.0).reliability == 1.0
+    assert Missed(10.0, 10.0, 0.0).reliability == 0.0
     for wrong in (math.nan, math.inf):
         assert explained(10.0, wrong) == shrunk(10.0, wrong) == 0.0
     assert explained(math.nan, 1.0) == shrunk(math.nan, 1.0) == 0.0

@@ -23,6 +23,7 @@ from service.problems import Problem, unprocessable
 from service.stream import body as body_module
 from service.stream.arrow import MAX_BATCH_POSITIONS, PART, Start, corrected
 from service.stream.body import Body, Left
+from service.stream.envelope import Envelope
 
 ARROW = "application/vnd.apache.arrow.stream"
 URL = f"{TINY_URL}/compensate"
@@ -157,6 +158,54 @@ def test_a_wrong_first_batch_is_refused(service: Service, row: int, column: int,
     q[row, column] = value
     answer = service.client.post(URL, content=written(table(q), size=16), headers=HEADERS)
     assert_problem(answer, 422, "invalid-request", detail)
+
+
+@pytest.mark.parametrize("codec", ["zstd", "lz4"])
+def test_a_compressed_batch_is_refused_before_it_is_unpacked(service: Service, codec: str) -> None:
+    """A few kilobytes may become gigabytes; so it must be the announcement that is refused, whatever the size."""
+    content = written(table(np.ones((200_000, 3))), size=200_000, options=pa.ipc.IpcWriteOptions(compression=codec))
+    assert len(content) < 100_000
+    answer = service.client.post(URL, content=content, headers=HEADERS)
+    assert_problem(answer, 422, "invalid-request", "record batches must not be compressed")
+
+
+def test_nothing_behind_the_announcement_of_a_compressed_batch_is_read() -> None:
+    content = written(table(np.ones((200_000, 3))), size=200_000, options=pa.ipc.IpcWriteOptions(compression="lz4"))
+    given = io.BytesIO(content)
+    envelope = Envelope(_File(given))
+    with pytest.raises(Problem, match="^record batches must not be compressed"):
+        _read(envelope)
+    assert given.tell() < 2000
+
+
+def _read(envelope: Envelope) -> None:
+    while envelope.readinto(bytearray(8)):
+        pass
+
+
+class _File:
+    """A source that reads from memory."""
+
+    failure: Exception | None = None
+
+    def __init__(self, file: io.BytesIO) -> None:
+        self._file = file
+
+    def readinto(self, buffer: Any) -> int:
+        return self._file.readinto(buffer)
+
+    def expect(self, most: int, what: str) -> None:
+        pass
+
+
+@pytest.mark.parametrize("step", [1, 7, 8, 1000])
+def test_an_envelope_passes_a_stream_on_as_it_is(step: int) -> None:
+    content = written(table(positions(500)), size=90)
+    envelope, read, buffer = Envelope(_File(io.BytesIO(content))), b"", bytearray(step)
+    while count := envelope.readinto(buffer):
+        read += buffer[:count]
+    assert read == content
+    assert envelope.failure is None
 
 
 def test_a_wrong_query_is_refused(service: Service) -> None:

@@ -100,3 +100,18 @@ def test_choosing_again_from_what_was_chosen_changes_nothing(tmp_path: Path) -> 
     again = choose(dataset, split, metric, sensors, chosen.settings)  # type: ignore[arg-type]
     assert again.settings == chosen.settings  # nothing is better than the best
     assert again.left == again.left_before == pytest.approx(chosen.left)
+
+
+def test_times_that_each_show_other_terms_cost_no_sum_each() -> None:
+    """What is kept of left-out samples grows with the samples, not with the sets of terms that they show."""
+    samples = drawn(rows=600)
+    holes = np.random.default_rng(3).random(samples.targets.shape) < 0.3
+    ragged = replace(samples, targets=np.where(holes, np.nan, samples.targets))
+    form = np.eye(4)
+    assert len(_LeftOut.of(ragged, form).features) <= 16 * (6 + 1 + 4)  # as many sets, as many columns
+    few = samples.where(np.arange(600) < 8)
+    assert len(_LeftOut.of(few, form).features) == 8
+    rng = np.random.default_rng(2)
+    weights, bias = rng.normal(size=(6, 4)), rng.normal(size=4)
+    rest = np.nan_to_num(ragged.targets - ragged.features @ weights - bias)
+    assert _LeftOut.of(ragged, form).left(weights, bias) == pytest.approx((rest**2).sum())

@@ -3,9 +3,10 @@
 import json
 import os
 import re
-import subprocess
 import sys
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from shop import write_dataset
 
 from model.bundle import load_bundle
+from model.cli import main
 from model.network import EXPORTER, OPSET
 from model.predictor import Predictor
 from service.machine_state import MachineState
@@ -30,8 +32,29 @@ THERMOTRUE = str(Path(sys.executable).with_name("thermotrue"))
 ETVE = Path(os.environ.get("THERMOTRUE_ETVE", Path(__file__).parents[2] / "shared" / "data" / "etve"))
 
 
-def run(*args: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([THERMOTRUE, *map(str, args)], capture_output=True, text=True, check=False)
+@dataclass(frozen=True)
+class Done:
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+Run = Callable[..., Done]
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
+    """Return what runs a command line here, as the installed program does, which first imports for some seconds."""
+
+    def call(*args: object) -> Done:
+        monkeypatch.setattr(sys, "argv", [THERMOTRUE, *map(str, args)])
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as stop:
+            main()
+        out, err = capfd.readouterr()
+        return Done(int(stop.value.code or 0), out, err)
+
+    return call
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +85,7 @@ def test_one_seed_gives_one_bundle_byte_for_byte(folder: Path, trained: Result, 
     assert again.bundle.version == trained.bundle.version
 
 
-def test_by_default_the_bundle_is_trained_on_everything_and_says_so(folder: Path, tmp_path: Path) -> None:
+def test_by_default_the_bundle_is_trained_on_everything_and_says_so(folder: Path, tmp_path: Path, run: Run) -> None:
     done = run("train", folder, "--out", tmp_path / "bundle", "--picture", tmp_path / "day.png")
     assert done.returncode == 0, done.stderr
     for name in (NO_COMPENSATION, RIDGE, NETWORK):
@@ -94,7 +117,7 @@ def test_the_cubic_fields_lose_nothing_that_was_linear(trained: Result) -> None:
     np.testing.assert_allclose(exx, np.linspace(exx[0], exx[-1], 9), atol=0.02 * np.abs(exx).max())
 
 
-def test_a_dry_run_says_what_it_would_do_and_does_nothing(folder: Path, tmp_path: Path) -> None:
+def test_a_dry_run_says_what_it_would_do_and_does_nothing(folder: Path, tmp_path: Path, run: Run) -> None:
     done = run("train", folder, "--out", tmp_path / "bundle", "--test-runs", "r4,r5", "--dry-run")
     assert done.returncode == 0, done.stderr
     assert "6 runs of 35.8 h" in done.stdout
@@ -125,7 +148,7 @@ def test_the_baselines_in_the_table_are_those_trained_on_the_same_runs(trained: 
         (["--test-runs", "r0,r1,r2,r3,r4,r5"], "thermotrue: test runs must leave runs to train on, got all 6"),
     ],
 )
-def test_wrong_splits_write_nothing(folder: Path, tmp_path: Path, args: list[str], message: str) -> None:
+def test_wrong_splits_write_nothing(folder: Path, tmp_path: Path, args: list[str], message: str, run: Run) -> None:
     done = run("train", folder, "--out", tmp_path / "bundle", *args)
     assert done.returncode == 2
     assert done.stderr.startswith(message)
@@ -143,21 +166,20 @@ def test_wrong_splits_write_nothing(folder: Path, tmp_path: Path, args: list[str
     ],
 )
 def test_what_cannot_be_written_is_found_before_training(
-    folder: Path, tmp_path: Path, args: list[str], message: str
+    folder: Path, tmp_path: Path, args: list[str], message: str, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "file").write_text("precious")
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "work.txt").write_text("precious")
     (tmp_path / "day.png").mkdir()
-    done = subprocess.run(
-        [THERMOTRUE, "train", str(folder), *args], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    monkeypatch.chdir(tmp_path)
+    done = run("train", folder, *args)
     assert done.returncode == 2
     assert re.match(message, done.stderr), done.stderr
     assert done.stderr.count("\n") == 1  # no line of progress: nothing was trained
 
 
-def test_a_bundle_of_another_machine_is_not_evaluated(folder: Path) -> None:
+def test_a_bundle_of_another_machine_is_not_evaluated(folder: Path, run: Run) -> None:
     tiny = Path(__file__).parent / "data" / "tiny_bundle"
     done = run("evaluate", tiny, folder)
     assert done.returncode == 2

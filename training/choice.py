@@ -124,7 +124,9 @@ def _sizes(plain: ThermalNetwork, net: ThermalNetwork) -> tuple[Array, Array]:
     mix = np.eye(width)
     sensors = len(net.centre)
     mix[:sensors, :sensors] = np.linalg.solve(plain.mix.numpy(), net.mix.numpy())
-    return np.kron(mix, np.eye(lags)), np.asarray((net.size / plain.size).numpy().reshape(-1), dtype=float)
+    mixing = np.asarray(np.kron(mix, np.eye(lags)), dtype=float)
+    scale = np.asarray((net.size / plain.size).numpy().reshape(-1), dtype=float)
+    return mixing, scale
 
 
 @dataclass(frozen=True)
@@ -150,7 +152,7 @@ class _LeftOut:
         for columns, which in by_pattern(np.isfinite(samples.targets)):
             part = whole[which]
             if len(part) > part.shape[1]:  # R of QR has the same sums of products
-                part = np.linalg.qr(part, mode="r")
+                part = np.asarray(np.linalg.qr(part, mode="r"))
             rows.append(part)
             known.append(np.tile(columns, (len(part), 1)))
         stacked = np.concatenate(rows)

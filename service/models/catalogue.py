@@ -69,14 +69,35 @@ def summaries(engine: Engine, machine: str) -> dict[str, dict[str, Any]]:
     return found
 
 
-def add(row: Stored, files: Callable[[], Mapping[str, bytes]]) -> Operation:
-    """Return the operation that stores a model, unless it is there; `files` is called when that happens."""
+def with_files(engine: Engine) -> set[tuple[str, str]]:
+    """Return machine and version of the models whose files are stored."""
+    with engine.connect() as connection:
+        rows = connection.execute(select(model_files.c.machine, model_files.c.version).distinct())
+        return {(row.machine, row.version) for row in rows}
+
+
+def add(row: Stored) -> Operation:
+    """Return the operation that stores a model's row, unless it is there."""
 
     def operation(connection: Connection) -> None:
         key = {"machine": row.machine, "version": row.version}
         if connection.execute(select(models.c.version).filter_by(**key)).first() is None:
             values = {"origin": row.origin, "added_s": row.added_s, "added_by": row.added_by}
             connection.execute(models.insert(), {**key, **values, "active": False, "activated_s": None})
+
+    return operation
+
+
+def add_files(machine: str, version: str, files: Callable[[], Mapping[str, bytes]]) -> Operation:
+    """Return the operation that stores the files of a model, unless they are there or it has gone meanwhile.
+
+    `files` is called when that happens.
+    """
+
+    def operation(connection: Connection) -> None:
+        key = {"machine": machine, "version": version}
+        if connection.execute(select(models.c.version).filter_by(**key)).first() is None:
+            return
         if connection.execute(select(model_files.c.name).filter_by(**key)).first() is None:
             rows = [{**key, "name": name, "content": content} for name, content in files().items()]
             if rows:

@@ -96,7 +96,8 @@ class Shelf:
                 raise Problem(HTTPStatus.CONFLICT, "too-many-models", detail)
             row = known or Stored(name, bundle.version, "upload", time.time(), who, active=False, activated_s=None)
             await self._write(
-                catalogue.add(row, lambda: files),
+                catalogue.add(row),
+                catalogue.add_files(name, row.version, lambda: files),
                 audit.record(who, "model uploaded", name, {"version": row.version, "bytes": len(body)}),
             )
             log.info("model uploaded", extra={"machine": name, "version": row.version, "who": who})

@@ -5,17 +5,30 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 
 from sqlalchemy.exc import SQLAlchemyError
 
 from model.bundle import Bundle, parse_bundle, read_files, version_of
 from model.exceptions import ThermotrueError
 from service.machine_state import MachineState
-from service.models.catalogue import Operation, Stored, activate, add, stored_files, stored_models
+from service.models.catalogue import (
+    Operation,
+    Stored,
+    activate,
+    add,
+    add_files,
+    stored_files,
+    stored_models,
+    with_files,
+)
 from service.models.fits import Installed, check_fits
 from service.store import audit
+from service.store.journal import Journal
 from service.store.store import Store
+from service.store.unavailable import StorageUnavailable
 
 log = logging.getLogger(__name__)
 
@@ -28,12 +41,20 @@ class Start:
     ----------
     states : the machines to serve, by name
     installed : what the command line said, by machine
-    operations : for the journal once it runs: what is new is stored, what serves is active
+    operations : for the journal once it runs: what is new is known, what serves is active
+    files : for the journal one after the other, after these: the files of what the database has not stored yet
     """
 
     states: dict[str, MachineState]
     installed: dict[str, Installed]
     operations: list[Operation]
+    files: list[Operation]
+
+    async def store(self, journal: Journal) -> None:
+        """Store the files, each in a transaction of its own: they take long for a hall, and telemetry goes between."""
+        with suppress(StorageUnavailable):
+            while self.files:
+                await journal.write(self.files.pop(0))
 
 
 Build = Callable[[Bundle], MachineState]
@@ -56,9 +77,11 @@ def begin(store: Store, bundles: Sequence[Bundle], build: Build) -> Start:
         where a bundle of the command line cannot be served.
     """
     now_s = time.time()
-    start = Start({}, {b.machine.name: Installed.of(b) for b in bundles}, [])
+    start = Start({}, {b.machine.name: Installed.of(b) for b in bundles}, [], [])
     stored: dict[str, dict[str, Stored]] = {}
+    whole: set[tuple[str, str]] = set()
     try:
+        whole = with_files(store.engine)
         for row in stored_models(store.engine):
             stored.setdefault(row.machine, {})[row.version] = row
     except SQLAlchemyError as problem:
@@ -77,7 +100,9 @@ def begin(store: Store, bundles: Sequence[Bundle], build: Build) -> Start:
         start.states[name], chosen = state, state.bundle
         if bundle.version not in known:
             row = Stored(name, bundle.version, "command-line", now_s, "service", active=False, activated_s=None)
-            start.operations.append(add(row, lambda b=bundle: _files_of(b)))  # type: ignore[misc]
+            start.operations.append(add(row))
+        if (name, bundle.version) not in whole:
+            start.files.append(add_files(name, bundle.version, partial(_files_of, bundle)))
         if active is None or active.version != chosen.version:
             detail = {"version": chosen.version, "from": None if active is None else active.version}
             start.operations.append(activate(name, chosen.version, now_s))

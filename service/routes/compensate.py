@@ -138,11 +138,13 @@ def _reply(
             "corrected": dict(zip(axes, corrected, strict=True)),
             "correction": dict(zip(axes, change, strict=True)),
             "deviation_um": dict(zip("xyz", deviation, strict=True)),
-            "uncertainty_um": uncertainty_um,
-            "limited": limited,
-            "explanation": explanation,
         }
-        points.append({key: value for key, value in point.items() if value is not None})
+        if uncertainty_um is not None:
+            point["uncertainty_um"] = uncertainty_um
+        point["limited"] = limited
+        if explanation is not None:
+            point["explanation"] = explanation
+        points.append(point)
     return {
         **header(machine, outlook.now_s, outlook.status),
         "reliability": outlook.target.weight,

@@ -16,13 +16,11 @@ from service.machine_state import MachineState
 from service.problems import Problem, unprocessable
 from service.schemas import Sample
 from service.status import Status
+from service.thermal import MAX_AHEAD_S
 from service.timestamps import format_time
 
-MAX_AHEAD_S = 60.0
-"""How far a time may be ahead of the service's clock [s]: two clocks that somebody sets differ by less, and one sample
-of a wrong hour would make all later ones too old."""
 MAX_REPLAY_S = 86400.0
-"""The same in replay, which runs ahead; it still refuses milliseconds and wrong years."""
+"""`MAX_AHEAD_S` in replay, which runs ahead; it still refuses milliseconds and wrong years."""
 
 
 def loaded_machines(request: HTTPConnection) -> dict[str, MachineState]:
@@ -112,8 +110,12 @@ def coordinates(
     where : what stands for a position in messages, with {} for its index
     """
     axes = [machine.machine.axes[name] for name in machine.machine.axis_names]
+    ranges = {axis.name: (axis.low - beyond_mm, axis.high + beyond_mm) for axis in axes}
     rows = []
     for index, position in enumerate(positions):
+        if position.keys() == ranges.keys() and all(low <= position[n] <= high for n, (low, high) in ranges.items()):
+            rows.append([position[name] for name in ranges])
+            continue
         at = f"in {where.format(index)}"
         _check_names("axis", position, machine.machine.axes, machine, f" {at}")
         for axis in axes:

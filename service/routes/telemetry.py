@@ -27,9 +27,9 @@ async def take_telemetry(machine: NamedMachine, request: TelemetryRequest, http:
     """
     check_samples(machine, request.samples, " in samples[{}]")
     receipt = machine.take(request.samples)
-    outlook = machine.outlook(machine.now())
+    now_s = machine.now()
     reply = TelemetryReply(
-        **header(machine, outlook.now_s, outlook.status),
+        **header(machine, now_s, machine.status(now_s)),
         accepted=receipt.accepted,
         ignored=receipt.ignored,
         warnings=receipt.warnings,

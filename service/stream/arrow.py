@@ -24,6 +24,7 @@ from model.validation import did_you_mean
 from service.positions import check_range
 from service.problems import unprocessable
 from service.solver import Solved, Solver
+from service.stream.envelope import Envelope
 
 MAX_BATCH_POSITIONS = 2**18
 """Its coordinates and corrections take some 50 MB while it is worked on."""
@@ -92,6 +93,7 @@ def corrected(source: Source, machine: Machine, begin: Callable[[], Start]) -> I
         where the compensation does not converge.
     """
     axes = machine.axis_names
+    source = Envelope(source)
     most_bytes = MAX_BATCH_POSITIONS * 8 * len(axes) + ROOM_BYTES
     what = f"{MAX_BATCH_POSITIONS} positions"
     source.expect(most_bytes, what)
