@@ -13,10 +13,6 @@ from model.bundle import load_bundle
 from model.predictor import Predictor
 Predictor(load_bundle({str(TINY)!r}))
 """
-BARE = f"""
-import onnxruntime
-onnxruntime.InferenceSession({str(TINY / "network.onnx")!r}, providers=["CPUExecutionProvider"])
-"""
 
 
 def traces(script: str, home: Path) -> list[str]:
@@ -32,6 +28,18 @@ def test_the_network_runs_without_telemetry(tmp_path: Path) -> None:
     assert traces(LOAD, tmp_path) == []
 
 
-def test_onnxruntime_alone_leaves_traces(tmp_path: Path) -> None:
-    if not traces(BARE, tmp_path):
-        pytest.skip("this build of onnxruntime has no telemetry")
+@pytest.mark.parametrize("module", ["model.predictor", "model.sessions", "training.job"])
+def test_the_switch_is_set_before_onnxruntime_is_imported(module: str) -> None:
+    watch = f"""
+import os, sys
+class Watch:
+    def find_spec(self, name, path=None, target=None):
+        if name == "onnxruntime":
+            print("switch", os.environ.get("ORT_DISABLE_TELEMETRY"))
+sys.meta_path.insert(0, Watch())
+import {module}
+"""
+    environment = {k: v for k, v in os.environ.items() if k != "ORT_DISABLE_TELEMETRY"}
+    done = subprocess.run([sys.executable, "-c", watch], check=True, env=environment, capture_output=True, text=True)
+    assert "switch 1" in done.stdout
+    assert "switch None" not in done.stdout
