@@ -21,6 +21,7 @@ from rich.table import Table
 from model.sensors import SensorModel
 from model.transforms import Array
 from model.uncertainty import Uncertainty
+from training.choice import choose
 from training.dataset import DataSet, MeasuredRun, load_dataset
 from training.evaluation import Method
 from training.interval import Spread, interval, pooled
@@ -32,8 +33,9 @@ from training.uncertainty import estimate, scaled_modes
 
 def trained(dataset: DataSet, split: Split, metric: TipMetric) -> tuple[Method, Spread, Uncertainty, int]:
     """Return the network, how far it may be off at a run's times of measurement, and parts that told so."""
-    s = Settings(steps=0)  # without steps, the nonlinear residual does not help and is not kept
     sensors = SensorModel.fit(np.concatenate([dataset.runs[n].telemetry.temperatures for n in split.train_runs]))
+    # Without steps, the nonlinear residual does not help and is not kept.
+    s = choose(dataset, split, metric, sensors, Settings(steps=0)).settings
     found = train_network(dataset, split, metric, sensors, s)
     parts = (found.net, found.fields, sensors, found.solve)
     record = estimate(dataset, split, metric, *parts, ridge=s.ridge, correlation_s=s.correlation_s)

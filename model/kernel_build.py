@@ -1,6 +1,6 @@
 """Compile the per-position path: `python -m model.kernel_build` writes its machine code to standard output.
 
-It runs in a process of its own: the compiler takes some 130 MB that a service would keep for good, for nothing.
+It runs in a process of its own: the compiler takes memory that a service would keep for good, for nothing.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Load object code of the compiled path: what a linker does, for the one file that the compiler writes.
 
-The compiler itself would do it, too, and takes 130 MB along; llvmlite alone takes 45. The code is mapped, its addresses
-are put in, and then it can be executed and no longer be written. Anything that is not as expected is refused, and the
-compiler does the work; whether it computes what the chain says is checked where it is used (`service/self_test.py`).
+The compiler itself would do it, too, and takes as much memory along as the rest of the service; llvmlite, its
+foundation, half of that. The code is mapped, its addresses are put in, and then it can be executed and no longer be
+written. Anything that is not as expected is refused, and the compiler does the work; whether the path computes what the
+chain says is checked before it is used (`service/self_test.py`).
 """
 
 from __future__ import annotations

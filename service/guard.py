@@ -255,7 +255,7 @@ def _check_changes(
         tracks[name] = track = _stood(tracks.get(name), time_s, reading, suggested[i])
         if time_s - track.frozen_s >= STUCK_S and abs(track.moved_K) > max(STUCK_K, STUCK_SD * float(usual[i])):
             faults[name] = _stuck(track, time_s)
-            tracks[name] = replace(_apart(track, time_s, reading, sensors[name]), suggested=True)
+            tracks[name] = _unlike(track, time_s, reading, sensors[name])
 
 
 def _check_distances(
@@ -272,16 +272,14 @@ def _check_distances(
         names = list(sensors)
         for i, other in (pair, pair[::-1]):
             faults[names[i]] = f"reads {readings[i]:g} °C, as if exchanged with sensor '{names[other]}'"
-            track = tracks.get(names[i], Track(float(readings[i]), time_s))
-            tracks[names[i]] = replace(_apart(track, time_s, float(readings[i]), sensors[names[i]]), suggested=True)
+            tracks[names[i]] = _unlike(tracks.get(names[i]), time_s, float(readings[i]), sensors[names[i]])
         return
     distance, usual = agreement.distances(readings)
     i = int((np.abs(distance) / usual).argmax())
     if abs(distance[i]) > max(FAR_K, FAR_SD * usual[i]):
         name = list(sensors)[i]
         faults[name] = _far(float(readings[i]), float(distance[i]))
-        track = tracks.get(name, Track(float(readings[i]), time_s))
-        tracks[name] = replace(_apart(track, time_s, float(readings[i]), sensors[name]), suggested=True)
+        tracks[name] = _unlike(tracks.get(name), time_s, float(readings[i]), sensors[name])
 
 
 def _return(
@@ -327,6 +325,12 @@ def _apart(track: Track, time_s: float, reading: float, sensor: Sensor) -> Track
     follows = known is not None and _reachable(sensor, known, track.level_s, reading, time_s)
     since_s = track.level_since_s if follows else time_s
     return replace(track, level_degC=reading, level_s=time_s, level_since_s=since_s)
+
+
+def _unlike(track: Track | None, time_s: float, reading: float, sensor: Sensor) -> Track:
+    """Return the track, from now on, of a reading that is unlike what the other sensors suggest."""
+    known = Track(reading, time_s) if track is None else track
+    return replace(_apart(known, time_s, reading, sensor), suggested=True)
 
 
 def _stood(track: Track | None, time_s: float, reading: float, suggested_K: float) -> Track:

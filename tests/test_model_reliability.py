@@ -6,28 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from service_client import TINY
 
 from model.fields import Fields
-from model.machine import parse_machine
+from model.machine import load_machine
 from model.reliability import Missed, beyond_um, explained, shrunk, tip_rms_um
 from model.tip_effects import tip_effects, tip_form
 
 UM = st.floats(0.0, 1e6)
-
-MACHINE = """\
-name = "m"
-structure = "w X Y b Z t"
-reference_temperature_degC = 20.0
-[axes.X]
-range = [0.0, 800.0]
-[axes.Y]
-range = [0.0, 500.0]
-[axes.Z]
-range = [0.0, 500.0]
-[tool]
-offset_mm = [0.0, 0.0, -100.0]
-errors = true
-"""
 
 
 @given(UM, UM, UM, UM, UM)
@@ -64,7 +50,7 @@ def test_the_share_is_that_of_a_regression() -> None:
 
 
 def test_the_form_of_the_tip_is_its_mean_square_over_the_volume() -> None:
-    fields = Fields(parse_machine(MACHINE), ("EXX", "EC0Y", "EZ0T"), 2)
+    fields = Fields(load_machine(TINY), ("EXX", "EC0Y", "EZ0T"), 2)
     directions = np.random.default_rng(2).normal(size=(3, fields.size))
     axes = [fields.machine.axes[a] for a in fields.machine.axis_names]
     grid = np.meshgrid(*(np.linspace(a.low, a.high, 5) for a in axes), indexing="ij")
