@@ -177,7 +177,7 @@ def memory(name: str, positions: int) -> float:
     q = np.empty((positions, len(axes)))
     q[:] = [0.5 * (a.low + a.high) for a in axes]
     found = compensator.compensate(q)
-    results = found.corrected.nbytes + found.residual_mm.nbytes + found.tilt_rad.nbytes + found.outside.nbytes
+    results = sum(part.nbytes for part in (found.corrected, found.residual_mm, found.tilt_rad, found.deviation_mm))
     status = Path("/proc/self/status").read_text()  # what getrusage says counts the parent, too
     peak_kib = next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM"))
     return peak_kib * 1024 / 1e6 - (q.nbytes + results) / 1e6
